@@ -17,7 +17,7 @@ from flowsplat.output.page import write_page
 from flowsplat_benchmarks.tables import Result, Table, format_page, plain
 
 MAX_IMAGE_WIDTH = 1600
-"""Pixels of an image of a scene in the page, at most."""
+"""Pixels of an image of a scene in the page, at most. Chosen by eye."""
 
 
 @dataclass(frozen=True)

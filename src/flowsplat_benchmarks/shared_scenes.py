@@ -10,8 +10,8 @@ from flowsplat.common.processes import in_own_process
 from flowsplat.pipeline import prepare
 from flowsplat_benchmarks.datasets.cases import Case
 
-WAIT = 2.0
-"""Seconds between two looks whether another process has prepared a scene."""
+POLL_INTERVAL = 2.0
+"""Seconds between two looks whether another process has prepared a scene. Chosen by eye."""
 
 
 def prepare_scene(case: Case, folder: Path) -> Path:
@@ -24,7 +24,7 @@ def prepare_scene(case: Case, folder: Path) -> Path:
         try:
             return in_own_process(_prepare, case, folder)
         except InUseError:
-            time.sleep(WAIT)
+            time.sleep(POLL_INTERVAL)
 
 
 def _prepare(case: Case, folder: Path) -> Path:

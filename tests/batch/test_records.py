@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from flowsplat.batch.records import CONTINUED, ORPHANED, Outcome, Records, after_attempt
+from flowsplat.batch.records import MAX_CRASH_RESTARTS, MAX_WORKER_LOSSES, Outcome, Records, after_attempt
 
 
 def ended(before, how: str, number: int | None = None, key: str = "k"):
@@ -20,13 +20,13 @@ def test_done_and_refused_are_the_end():
 
 def test_a_crash_is_continued_three_times():
     record = None
-    for k in range(CONTINUED):
+    for k in range(MAX_CRASH_RESTARTS):
         record = ended(record, "crashed")
         assert (record["state"], record["crashes"], record["attempt"]) == ("open", k + 1, k + 1)
-    assert ended(record, "done")["crashes"] == CONTINUED
+    assert ended(record, "done")["crashes"] == MAX_CRASH_RESTARTS
     record = ended(record, "crashed")
     assert record["state"] == "failed"
-    assert record["seconds"] == 2.0 * (CONTINUED + 1)
+    assert record["seconds"] == 2.0 * (MAX_CRASH_RESTARTS + 1)
     assert ended(record, "crashed")["crashes"] == 1, "tried once more, it counts anew"
 
 
@@ -47,7 +47,7 @@ def test_memory_is_outgrown_once():
 @pytest.mark.parametrize("how", ["busy", "stopped"])
 def test_what_says_nothing_about_the_clip_counts_for_nothing(how):
     record = None
-    for _ in range(3 * ORPHANED):
+    for _ in range(3 * MAX_WORKER_LOSSES):
         record = ended(record, how)
         assert (record["state"], record["crashes"], record["orphaned"]) == ("open", 0, 0)
 
@@ -56,8 +56,8 @@ def test_workers_that_die_are_counted_apart():
     record = ended(None, "crashed", number=4)
     assert (record["orphaned"], record["crashes"], record["state"]) == (3, 1, "open")
     assert ended(record, "lost")["orphaned"] == 4
-    assert ended(record, "stopped", number=record["attempt"] + ORPHANED)["state"] == "failed"
-    assert ended(record, "done", number=record["attempt"] + 2 * ORPHANED)["state"] == "done"
+    assert ended(record, "stopped", number=record["attempt"] + MAX_WORKER_LOSSES)["state"] == "failed"
+    assert ended(record, "done", number=record["attempt"] + 2 * MAX_WORKER_LOSSES)["state"] == "done"
 
 
 def test_records_on_disk(tmp_path):

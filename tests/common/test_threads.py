@@ -64,7 +64,7 @@ def test_ranges_cover_everything_once(kind, count):
     assert (values == 1).all()
     assert counts.sum() == count
     if count == 1000 and thread_count() > 1:
-        assert (counts > 0).sum() == threads.PIECES * thread_count()
+        assert (counts > 0).sum() == threads.RANGES_PER_THREAD * thread_count()
 
 
 def test_with_one_thread_it_is_one_call():

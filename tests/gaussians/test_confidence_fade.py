@@ -9,12 +9,19 @@ import pytest
 import torch
 
 from flowsplat.common.errors import InputError
-from flowsplat.gaussians.confidence_fade import ALL_AROUND, LEAST_REACH, MAX_SPREADS, MIN_FRAMES, apply_confidence_fade, reach
+from flowsplat.gaussians.confidence_fade import (
+    MAX_DIRECTION_DIFFERENCE,
+    MAX_SPREADS,
+    MIN_FADE_REACH,
+    MIN_FRAMES,
+    apply_confidence_fade,
+    reach,
+)
 from flowsplat.gaussians.visibility import ASKED_FRAMES, with_seen
 from flowsplat.training.checkpoint import load_model, save_model
 from tests.output.small import LAST, small_cameras, small_model, small_times
 
-SPREADS = (0.01, 0.02, 0.05, ALL_AROUND)
+SPREADS = (0.01, 0.02, 0.05, MAX_DIRECTION_DIFFERENCE)
 
 
 def model_that_saw(frames: float):
@@ -26,8 +33,10 @@ def model_that_saw(frames: float):
 
 
 def test_how_far_each_may_be_looked_at():
-    found = reach(torch.tensor([(MIN_FRAMES, 0.05), (MIN_FRAMES - 1, 0.05), (MIN_FRAMES, 0.0001), (30.0, ALL_AROUND)]))
-    np.testing.assert_allclose(found, [MAX_SPREADS * 0.05, LEAST_REACH, LEAST_REACH, MAX_SPREADS * ALL_AROUND])
+    found = reach(
+        torch.tensor([(MIN_FRAMES, 0.05), (MIN_FRAMES - 1, 0.05), (MIN_FRAMES, 0.0001), (30.0, MAX_DIRECTION_DIFFERENCE)])
+    )
+    np.testing.assert_allclose(found, [MAX_SPREADS * 0.05, MIN_FADE_REACH, MIN_FADE_REACH, MAX_SPREADS * MAX_DIRECTION_DIFFERENCE])
 
 
 def test_opacities_fall_between_the_reach_and_twice_that():
@@ -70,7 +79,7 @@ def test_what_a_clip_has_seen_of_a_trained_scene():
     asked = min(ASKED_FRAMES, len(small_times()))
     assert found.seen.shape == (len(found), 2)
     moving, resting = found.seen[found.dynamic], found.seen[~found.dynamic]
-    assert (moving[:, 1] == ALL_AROUND).all()
+    assert (moving[:, 1] == MAX_DIRECTION_DIFFERENCE).all()
     assert (resting[:, 1] < 0.5).all()
     assert found.seen[:, 0].max() <= asked
     assert resting[:, 0].max() == asked, "the camera turns little, so that some Gaussian is seen by all"

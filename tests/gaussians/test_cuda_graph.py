@@ -50,7 +50,7 @@ def test_a_scene_that_is_looked_at_is_drawn_so(monkeypatch):
     plain = SceneModel(gaussians, Similarity(), 0.0, 2.0)
     fast = replace(plain, graphs=True)
     monkeypatch.setattr(devices, "kernels_for", lambda value: "triton")
-    monkeypatch.setattr(model, "_MOST_GRAPHS", 1)
+    monkeypatch.setattr(model, "_MAX_GRAPHS", 1)
     for width in (16, 17):
         view, other = camera(width=width, height=16), camera((0.05, 0.02, 0), width=width, height=16)
         ours = fast.render(view, 0.5, (other, 0.7))

@@ -62,7 +62,7 @@ def test_culling_against_the_camera_changes_no_image():
 
 def test_culling_reckons_with_more_than_is_drawn():
     assert -2 * math.log(ALPHA_MIN) < culling_reference.CULL_SIGMAS**2
-    assert culling_reference.BLUR**2 > EPS2D
+    assert culling_reference.BLUR_SIGMA**2 > EPS2D
 
 
 def test_gathered_rows_are_those_of_the_parameters():

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from flowsplat import pipeline
-from flowsplat.pipeline.demo import ITERATIONS
+from flowsplat.pipeline.demo import DEMO_ITERATIONS
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 
 
@@ -16,7 +16,7 @@ def test_the_demo_trains_to_the_same_figures(tmp_path):
     write_synthetic(tmp_path / "scene", SyntheticScene(width=320, height=180, frames=40), holdout=10)
     start = pipeline.preset("default")
     config = replace(
-        start, priors=replace(start.priors, priors="true"), train=replace(start.train, iterations=ITERATIONS),
+        start, priors=replace(start.priors, priors="true"), train=replace(start.train, iterations=DEMO_ITERATIONS),
         render=replace(start.render, paths=("input",)),
     )  # fmt: skip
     found = {

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flowsplat.images.colors import (
-    SMALLEST_FLOW_SCALE,
+    MIN_FLOW_SCALE,
     depth_range,
     depth_to_color,
     error_to_color,
@@ -56,7 +56,7 @@ def test_unknown_flow_is_black_and_does_not_touch_the_scale():
     assert (color[[0, 1], [0, 1]] == 0).all()
     assert (color[2, 2] > 0).any()
     assert flow_scale([flow]) == pytest.approx(3 * np.sqrt(2), rel=1e-5)
-    assert flow_scale([np.full((2, 2, 2), np.nan)]) == SMALLEST_FLOW_SCALE
+    assert flow_scale([np.full((2, 2, 2), np.nan)]) == MIN_FLOW_SCALE
 
 
 def test_a_clip_at_rest_stays_pale():

@@ -13,7 +13,7 @@ import pytest
 
 from flowsplat.geometry import Camera
 from flowsplat.output.camera_path import path_at_an_angle, path_from_above
-from flowsplat.output.priors_report import PANEL, _Shown, verdict, write_priors_report
+from flowsplat.output.priors_report import PANEL_SIDE, _Shown, verdict, write_priors_report
 from flowsplat.pipeline import prepare
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.priors.objects import SceneObjects
@@ -127,7 +127,7 @@ def test_images_are_reduced(tmp_path):
     scene = Scene(tmp_path / "scene")
     use_truth(scene)
     page = page_of(tmp_path, scene)
-    assert f'width="{PANEL}" height="48"' in page
+    assert f'width="{PANEL_SIDE}" height="48"' in page
     assert 'width="600"' not in page
 
 

@@ -12,7 +12,7 @@ import pytest
 from flowsplat.common.errors import InputError
 from flowsplat.output.videos import RenderOptions, list_rendered
 from flowsplat.pipeline import coarse, preparing, run, stages
-from flowsplat.pipeline.coarse import FRAMES, LONG_SIDE, MAX_FRAME_SECONDS, CoarseClip, choose_frames, is_worth_it
+from flowsplat.pipeline.coarse import LONG_SIDE, MAX_FRAME_SECONDS, MAX_FRAMES, CoarseClip, choose_frames, is_worth_it
 from flowsplat.pipeline.compiling import Ahead
 from flowsplat.pipeline.config import RunConfig, preset
 from flowsplat.pipeline.folder import RunFolder
@@ -47,7 +47,7 @@ def test_frames_are_spread_over_the_clip_or_its_beginning(frames, fps, last):
     """As far as motion can be followed; frames that the run holds out are not among them."""
     train, heldout = split_frames(frames, 10)
     numbers = choose_frames(np.arange(frames) / fps, train)
-    assert len(numbers) <= FRAMES
+    assert len(numbers) <= MAX_FRAMES
     assert not set(numbers) & set(heldout)
     assert abs(numbers[-1] - last) <= 3
     assert np.diff(numbers).max() <= max(2, MAX_FRAME_SECONDS * fps + 1)

@@ -12,7 +12,7 @@ import pytest
 import flowsplat
 from flowsplat.cli import main
 from flowsplat.common.errors import InputError
-from flowsplat.pipeline.compare import MOST_RUNS, name_folders
+from flowsplat.pipeline.compare import MAX_RUNS, name_folders
 from tests.browser import Complaints
 
 NASTY = '<b onclick="x">&\''
@@ -97,7 +97,7 @@ def test_names_are_as_short_as_they_can_be():
     [
         ([], "0 run(s) to compare"), (["own"], "1 run(s) to compare"), (["own", "own"], "named twice"),
         (["own", "own/../own"], "named twice"), (["own", "nowhere"], "nowhere is not the folder of a run"),
-        (["own", "young"], "was not measured yet"), (["own"] * (MOST_RUNS + 1), "13 run(s)"),
+        (["own", "young"], "was not measured yet"), (["own"] * (MAX_RUNS + 1), "13 run(s)"),
         (["own", "own2", "-o", "own2"], "own2 is a folder"),
     ],
 )  # fmt: skip

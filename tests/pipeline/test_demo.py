@@ -28,7 +28,7 @@ def call(capsys, *arguments: object) -> tuple[int, str]:
 @pytest.mark.slow
 @pytest.mark.parametrize("world", ["street", "floating"])
 def test_a_demo_ends_with_one_screen(world, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(demo, "ITERATIONS", 20)
+    monkeypatch.setattr(demo, "DEMO_ITERATIONS", 20)
     monkeypatch.setattr(demo, "TRUE_ITERATIONS", {"street": 10, "floating": 10})
     out = tmp_path / "a demo"
     code, told = call(capsys, "-o", out, "--world", world, *SMALL)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from flowsplat.priors.background.bits import pack
-from flowsplat.priors.background.matched_clip import RESTS, MatchedClip
+from flowsplat.priors.background.matched_clip import MAX_REST_NOISES, MatchedClip
 from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.flow import flow_stage
 from flowsplat.priors.masks import mask_stage
@@ -58,7 +58,8 @@ def motions(*values: np.ndarray) -> list[SimpleNamespace]:
 
 
 @pytest.mark.parametrize(
-    ("usual", "expected"), [(0.1, MIN_RESTING_MOTION), (0.5, 0.5 * RESTING_MOTION_RATIO), (2.0, RESTS), (0.0, RESTS)]
+    ("usual", "expected"),
+    [(0.1, MIN_RESTING_MOTION), (0.5, 0.5 * RESTING_MOTION_RATIO), (2.0, MAX_REST_NOISES), (0.0, MAX_REST_NOISES)],
 )
 def test_what_rests_is_told_by_the_noise_of_the_clip(usual, expected):
     noise = np.full((30, 40), usual)

@@ -260,7 +260,7 @@ def test_planes_cull():
 @pytest.mark.parametrize(("channels", "piece"), [(1, 64), (3, 64), (10, 64), (7, 3)])
 def test_absolute_gradients_are_summed_over_pixels(channels, piece, monkeypatch):
     """Each pixel differentiated on its own, in float64; then the oracle's way and the kernels' way."""
-    monkeypatch.setattr(functions, "MOST_CHANNELS", piece)
+    monkeypatch.setattr(functions, "MAX_CHANNELS", piece)
     values = make(cameras=1, channels=channels, count=12)
     values["opacities"][0] = 1.0  # clamped somewhere
     width, height = 9, 7

@@ -267,7 +267,7 @@ def test_long_thin_gaussians_are_drawn(sigma):
 
 def test_any_number_of_channels(monkeypatch):
     values = in_float32(random_gaussians(70, 7))
-    monkeypatch.setattr(functions, "MOST_CHANNELS", 3)
+    monkeypatch.setattr(functions, "MAX_CHANNELS", 3)
     expected, found = run(values, "reference"), run(values, "cpu")
     assert relative(found[0], expected[0]) < 2e-6
     assert relative(found[1], expected[1]) < 2e-6

@@ -192,7 +192,7 @@ def test_after_a_reset_the_next_gradient_alone_says_where_opacities_go(tmp_path)
 
 @pytest.mark.parametrize("alone", [0.01, 1.0])
 def test_who_turns_out_to_move_gets_neighbors_at_once_unless_they_are_few(monkeypatch, alone):
-    monkeypatch.setattr(trainer, "ALONE", alone)
+    monkeypatch.setattr(trainer, "MAX_ALONE_SHARE", alone)
     config = tiny("default")
     config = replace(
         config, iterations=4, loss=replace(config.loss, rigid_refresh=1000),

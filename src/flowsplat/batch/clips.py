@@ -27,11 +27,12 @@ VIDEO_SUFFIXES = (
 )  # fmt: skip
 """Files of a folder that are taken for clips; a clip that is given by its own name may be called anything."""
 LISTS = (".txt", ".csv", ".tsv", ".jsonl", ".ndjson")
-MOST_CLIPS = 1_000_000
+MAX_CLIPS = 1_000_000
+"""Clips of one batch, at most: a list with more is a slip. A round number."""
 MAX_FOLDER_DEPTH = 6
-"""Folders within each other in which clips are looked for."""
-LONGEST_NAME = 80
-"""Characters of the readable part of an id."""
+"""Folders within each other in which clips are looked for. Chosen by eye."""
+MAX_NAME_CHARACTERS = 80
+"""Characters of the readable part of an id. Chosen by eye."""
 _TAKEN = ("batch.json", "index.html")
 """Names in OUT that no run can have."""
 _ROW = dict[Annotated[str, msgspec.Meta(max_length=200)], Text | float | bool | list[Text | float] | None]
@@ -72,8 +73,8 @@ def find_clips(inputs: Sequence[Path], config: RunConfig, out: Path) -> list[Bat
             known = clips.setdefault(clip.id.casefold(), clip)  # some file systems do not tell A from a
             if known != clip:
                 raise InputError(f"{known.path} and {clip.path} would both be called {clip.id}: give other ids in a list.")
-        if len(clips) > MOST_CLIPS:
-            raise InputError(f"{source}: more than {MOST_CLIPS:,} clips: make several batches of them.")
+        if len(clips) > MAX_CLIPS:
+            raise InputError(f"{source}: more than {MAX_CLIPS:,} clips: make several batches of them.")
     if not clips:
         raise InputError("There is no clip in what was given: give videos, folders of frames, folders of these, or lists.")
     return list(clips.values())
@@ -200,7 +201,7 @@ def id_of(path: Path, config: RunConfig) -> str:
     stem = path.stem if path.suffix.lower() in VIDEO_SUFFIXES else path.name
     kept = "".join(c if c.isalnum() or c in "_-" else "-" for c in unicodedata.normalize("NFC", stem))
     readable = "-".join(part for part in kept.split("-") if part)
-    while len(readable) > LONGEST_NAME or len(readable.encode(errors="replace")) > LONGEST_NAME:
+    while len(readable) > MAX_NAME_CHARACTERS or len(readable.encode(errors="replace")) > MAX_NAME_CHARACTERS:
         readable = readable[:-1]
     return f"{readable}-{digest}" if readable else f"clip-{digest}"
 

@@ -32,9 +32,11 @@ from flowsplat.pipeline.config import RunConfig
 PLAN = "plan.json"
 PAGE = "page"
 """The claim of who writes the page."""
-PAGE_EVERY = 60.0
-"""Seconds, at least, between two pages, and at least so many times as long as one takes:"""
-PAGE_SHARE = 20
+PAGE_INTERVAL = 60.0
+"""Seconds, at least, between two pages. Chosen by eye."""
+PAGE_INTERVAL_FACTOR = 20
+"""Times as long as writing the page took that pass before the next one, so that pages take a twentieth of the time at most.
+Chosen by eye."""
 
 
 class PlanFile(TypedDict):
@@ -155,7 +157,7 @@ class _Page:
 
     def __init__(self, out: Path, records: Records, names: Mapping[str, str]):
         self._out, self._records, self._names = out, records, names
-        self._next, self._number = time.monotonic() + PAGE_EVERY / 10, 0
+        self._next, self._number = time.monotonic() + PAGE_INTERVAL / 10, 0
         self._writing = Claims(records.folder / "pages")
         self._claims = Claims(records.folder / "claims")
 
@@ -171,12 +173,12 @@ class _Page:
                 report(str(error))
             finally:
                 self._writing.release(PAGE)
-        self._next = time.monotonic() + max(PAGE_EVERY, PAGE_SHARE * (time.monotonic() - began))
+        self._next = time.monotonic() + max(PAGE_INTERVAL, PAGE_INTERVAL_FACTOR * (time.monotonic() - began))
 
     def finish(self) -> None:
         """Write them once more, after whoever writes now."""
         self._claims.close()
-        ends = time.monotonic() + PAGE_EVERY
+        ends = time.monotonic() + PAGE_INTERVAL
         while not (mine := self._take()) and time.monotonic() < ends:
             time.sleep(0.2)
         try:

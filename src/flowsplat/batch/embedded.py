@@ -26,17 +26,17 @@ from flowsplat.common.progress import describe_progress
 from flowsplat.common.stopping import signals_stop
 
 OUTGROWN_FACTOR = 1.25
-"""A process may take so many times what was estimated before it counts as one that outgrew its share."""
+"""A process may take so many times what was estimated before it counts as one that outgrew its share. Chosen by eye."""
 MEMORY_SHARE = 0.9
-"""Of the memory that is free in the beginning."""
+"""Of the memory that is free in the beginning. Chosen by eye."""
 MEMORY_RESERVE = 0.25
-"""GiB: with less free, other programs have taken what there was."""
+"""GiB: with less free, other programs have taken what there was. Chosen by eye."""
 MEMORY_CHECK_SECONDS = 0.5
-"""Seconds between two looks at the memory of the processes."""
+"""Seconds between two looks at the memory of the processes. Chosen by eye."""
 STOP_SECONDS = 60.0
-"""Seconds in which a process that was asked to stop may finish a step and write a checkpoint."""
+"""Seconds in which a process that was asked to stop may finish a step and write a checkpoint. Chosen by eye."""
 REPORT_SECONDS = 1.0
-"""Seconds between two words of a process on where it is."""
+"""Seconds between two words of a process on where it is. Chosen by eye."""
 
 
 @dataclass

@@ -21,9 +21,10 @@ from flowsplat.common.errors import InputError, describe_install, first_line
 from flowsplat.common.processes import THREAD_VARIABLES, usable_cores
 
 TASKS_PER_CORE = 1.25
-"""Tasks at a time, in cores of the cluster: some wait, so that a cluster that grows by itself sees that it should."""
-STORE = 80 * 2**20
-"""Bytes of shared memory of a Ray that is started here: results are small."""
+"""Tasks at a time, in cores of the cluster: some wait, so that a cluster that grows by itself sees that it should. Chosen by eye.
+"""
+OBJECT_STORE_BYTES = 80 * 2**20
+"""Bytes of shared memory of a Ray that is started here: results are small. Chosen by eye."""
 
 
 @dataclass
@@ -59,7 +60,7 @@ class OnRay:
             raise InputError(f"--engine ray needs Ray: {describe_install('ray')}.") from error
         self._ray: Any = ray
         if not ray.is_initialized():
-            local = {"num_cpus": workers or usable_cores(), "object_store_memory": STORE, "include_dashboard": False}
+            local = {"num_cpus": workers or usable_cores(), "object_store_memory": OBJECT_STORE_BYTES, "include_dashboard": False}
             try:
                 ray.init(address=address, log_to_driver=False, **({} if address else local))
             except Exception as error:

@@ -30,10 +30,10 @@ END_STATES = ("done", "failed", "refused")
 STATES = (*END_STATES, "open")
 VERSION = 1
 
-CONTINUED = 3
-"""How often a run that crashed or was killed is continued."""
-ORPHANED = 10
-"""How often one is continued whose whole worker died: a machine that was taken away says little about the clip."""
+MAX_CRASH_RESTARTS = 3
+"""How often a run that crashed or was killed is continued. Chosen by eye."""
+MAX_WORKER_LOSSES = 10
+"""How often one is continued whose whole worker died: a machine that was taken away says little about the clip. Chosen by eye."""
 
 How = Literal["done", "refused", "crashed", "outgrew", "busy", "stopped", "lost", "unwritable"]
 """How an attempt ended: it is done; its input cannot be used; it crashed or was killed; it took more memory than it may; somebody
@@ -82,8 +82,8 @@ class Outcome:
 def after_attempt(before: Record | None, name: str, key: str, number: int, outcome: Outcome) -> dict[str, Any]:
     """Return the record of a piece of work after attempt ``number``: whether it has ended, or there is to be another one.
 
-    What cannot be used is never tried again. A crash is continued ``CONTINUED`` times, an attempt that outgrew its memory once
-    more, with fewer Gaussians. Being stopped, or in somebody's way, counts for nothing.
+    What cannot be used is never tried again. A crash is continued ``MAX_CRASH_RESTARTS`` times, an attempt that outgrew its memory
+    once more, with fewer Gaussians. Being stopped, or in somebody's way, counts for nothing.
     """
     known = before if before is not None and before["key"] == key and before["state"] == "open" else {}
     crashes, fewer, state = known.get("crashes", 0), known.get("fewer", False), "open"
@@ -95,11 +95,11 @@ def after_attempt(before: Record | None, name: str, key: str, number: int, outco
         state = outcome.how
     elif outcome.how == "crashed":
         crashes += 1
-        if crashes > CONTINUED:
+        if crashes > MAX_CRASH_RESTARTS:
             state = "failed"
     elif outcome.how == "outgrew":
         state, fewer = ("failed", True) if fewer else ("open", True)
-    if state == "open" and orphaned > ORPHANED:
+    if state == "open" and orphaned > MAX_WORKER_LOSSES:
         state, reason = "failed", f"its worker died {orphaned} times"
     earlier, peak = known.get("seconds", 0.0), [outcome.peak_memory_gib, known.get("peak_memory_gib")]
     return {

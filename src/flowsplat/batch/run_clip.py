@@ -37,9 +37,10 @@ from flowsplat.scenes.layers import read_image
 from flowsplat.scenes.scene import split_frames
 
 THUMB_WIDTH = 240
-"""Pixels of an image in the page of a batch."""
-SPARSER = 1.5
-"""Times as far apart Gaussians begin in a run that outgrew its memory; at most half as many are allowed in the end."""
+"""Pixels of an image in the page of a batch. Chosen by eye."""
+SPARSER_SPACING_FACTOR = 1.5
+"""Times as far apart Gaussians begin in a run that outgrew its memory; at most half as many are allowed in the end.
+Chosen by eye."""
 
 FIGURES = {
     "psnr": ("heldout_frames", "psnr"), "ssim": ("heldout_frames", "ssim"), "views_psnr": ("heldout_views", "psnr"),
@@ -110,8 +111,8 @@ def fewer_gaussians(config: RunConfig) -> RunConfig:
     """Return the settings of a run that may not take as much memory."""
     train = config.train
     init = replace(
-        train.init, background_spacing=SPARSER * train.init.background_spacing,
-        foreground_spacing=SPARSER * train.init.foreground_spacing,
+        train.init, background_spacing=SPARSER_SPACING_FACTOR * train.init.background_spacing,
+        foreground_spacing=SPARSER_SPACING_FACTOR * train.init.foreground_spacing,
     )  # fmt: skip
     density = replace(train.density, max_gaussians=max(1, train.density.max_gaussians // 2))
     return replace(config, train=replace(train, init=init, density=density))

@@ -14,14 +14,14 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import Claims
 
 POLL_SECONDS = 10.0
-"""Seconds, at least, between two lists while others have what is left."""
+"""Seconds, at least, between two lists while others have what is left. Chosen by eye."""
 LISTING_REST = 20
-"""Times as long as listing takes the folders are left alone, so that many who wait do no harm."""
+"""Times as long as listing takes the folders are left alone, so that many who wait do no harm. Chosen by eye."""
 LIST_SECONDS = 300.0
 """Seconds after which folders are listed anew although jobs are known that were open then: meanwhile others take a few of them,
-which is found out one by one,"""
+which is found out one by one. Chosen by eye."""
 MAX_MISSES = 8
-"""or, when so many one after the other were no longer open, from a new list."""
+"""Jobs one after the other that are no longer open after which folders are listed anew, too. Chosen by eye."""
 RETRY_SECONDS = 5.0
 """Seconds after which work is tried again that somebody else's run was in the way of."""
 

@@ -13,8 +13,9 @@ from flowsplat.common.durations import format_duration
 from flowsplat.common.progress import console, is_live, report
 
 LINE_SECONDS = 60.0
-"""Seconds between two lines."""
-MOST_ROWS = 32
+"""Seconds between two lines. Chosen by eye."""
+MAX_ROWS = 32
+"""Running clips that the table lists, at most. Chosen by eye."""
 
 
 class Progress:
@@ -64,7 +65,7 @@ class Progress:
         table = Table(box=None, pad_edge=False, title=self.line(scheduler), title_justify="left")
         for name in (self._noun, "for", "GiB", ""):
             table.add_column(name, justify="right" if name in ("for", "GiB") else "left", no_wrap=True)
-        for each in list(scheduler.engine.list_running())[:MOST_ROWS]:
+        for each in list(scheduler.engine.list_running())[:MAX_ROWS]:
             held = "" if each.gib is None else f"{each.gib:.1f}"
             table.add_row(each.id, format_duration(each.seconds), held, each.doing)
         return table

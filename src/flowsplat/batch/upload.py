@@ -12,7 +12,8 @@ from flowsplat.common.errors import InputError, describe_install, first_line
 from flowsplat.common.progress import report
 
 MANIFEST = "manifest.json"
-_BLOCK = 2**20
+_BLOCK_BYTES = 2**20
+"""Bytes that are read at a time: 1 MiB, a round number."""
 
 
 def open_url(url: str) -> tuple[Any, str]:
@@ -80,6 +81,6 @@ def _counts(path: Path, folder: Path) -> bool:
 def _digest(path: Path) -> str:
     digest = hashlib.sha256()
     with open(path, "rb") as file:
-        while block := file.read(_BLOCK):
+        while block := file.read(_BLOCK_BYTES):
             digest.update(block)
     return digest.hexdigest()

@@ -18,7 +18,8 @@ from flowsplat.pipeline.speed import cache_file
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic_video
 
 SPEC = SyntheticScene(width=96, height=64, frames=12)
-ITERATIONS = 12
+WARMING_ITERATIONS = 12
+"""Training steps that warm up, with density control every fourth one."""
 
 
 def compile_kernels(device: str) -> None:
@@ -50,7 +51,7 @@ class _Tiny:
 
     def __call__(self, attempt: Attempt) -> dict[str, object]:
         config = RunConfig()
-        train = replace(config.train, iterations=ITERATIONS, density=replace(config.train.density, every=4, start=4))
+        train = replace(config.train, iterations=WARMING_ITERATIONS, density=replace(config.train.density, every=4, start=4))
         config = replace(config, train=train, render=RenderOptions(paths=("input",)), device=self._device)  # type: ignore[arg-type]
         with tempfile.TemporaryDirectory(prefix="flowsplat-") as folder:
             write_synthetic_video(Path(folder) / "tiny.mp4", SPEC)

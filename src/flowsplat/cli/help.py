@@ -9,6 +9,7 @@ USUAL_OPTIONS = (
 )  # fmt: skip
 """The options that --help shows of a command with more than ``SHORT_HELP_OPTIONS`` of them; --help-all shows all."""
 SHORT_HELP_OPTIONS = 40
+"""Options up to which --help shows all of a command. Chosen by eye."""
 
 
 def short_help(text: str, command: str) -> str:

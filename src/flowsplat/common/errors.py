@@ -1,7 +1,7 @@
 """Errors that are written for the person at the keyboard."""
 
 MAX_MESSAGE_CHARACTERS = 1000
-"""Characters of a message."""
+"""Characters of a message. Chosen by eye."""
 
 
 class InputError(Exception):

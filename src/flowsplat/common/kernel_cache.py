@@ -37,9 +37,9 @@ from flowsplat.common.syntax import PARSING
 from flowsplat.common.user_cache import cache_folder
 
 UNUSED_SECONDS = 30 * 24 * 3600.0
-"""Seconds after which a folder that nothing was loaded from is deleted."""
+"""Seconds after which a folder that nothing was loaded from is deleted. Chosen by eye."""
 MARK_SECONDS = 24 * 3600.0
-"""Seconds after which a folder that something is loaded from is marked as used anew."""
+"""Seconds after which a folder that something is loaded from is marked as used anew. Chosen by eye."""
 _NAME = re.compile(r"[\w.]+-[0-9a-f]{16}")
 """Of a folder that is ours; others' may lie beside it."""
 _SETTINGS = ("OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "BOUNDSCHECK", "CPU_NAME", "CPU_FEATURES", "DEBUGINFO_DEFAULT")

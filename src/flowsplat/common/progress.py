@@ -27,7 +27,7 @@ from flowsplat.common.durations import format_duration
 Item = TypeVar("Item")
 
 LINE_SECONDS = 30.0
-"""Seconds between two lines where no bar can move: in pipes, files and CI."""
+"""Seconds between two lines where no bar can move: in pipes, files and CI. Chosen by eye."""
 
 console = Console(stderr=True, highlight=False)
 

@@ -20,9 +20,10 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 RESULTS_AHEAD = 1
-"""Results beyond those in work that may wait for whoever takes them."""
-PIECES = 4
-"""Ranges for each thread into which a loop is cut: where others need the processor, too, threads are not equally fast."""
+"""Results beyond those in work that may wait for whoever takes them. Chosen by eye."""
+RANGES_PER_THREAD = 4
+"""Ranges for each thread into which a loop is cut: where others need the processor, too, threads are not equally fast.
+Chosen by eye."""
 
 _own = threading.local()
 _left_to_others = 0
@@ -99,7 +100,7 @@ def kind_of_threads() -> str:
     return "OpenMP" if _team() is not None else "Python"
 
 
-def parallel_for(kernel: Callable[..., Any], count: int, *arguments: Any, pieces: int = PIECES) -> None:
+def parallel_for(kernel: Callable[..., Any], count: int, *arguments: Any, pieces: int = RANGES_PER_THREAD) -> None:
     """Call ``kernel(begin, end, *arguments)`` for ranges that cover 0 to ``count``, in as many threads as the caller has.
 
     What it computes must not depend on how the ranges are cut. An interrupt (Ctrl-C) ends it after the ranges in work.

@@ -18,12 +18,13 @@ from flowsplat.priors.flow import dis_flow, gray
 from flowsplat.scenes import Scene
 
 SURFACE_DEPTH_RATIO = 1.02
-"""A splatted pixel this much deeper than the nearest one still belongs to its surface."""
+"""A splatted pixel this much deeper than the nearest one still belongs to its surface. Chosen by eye."""
 
 MIN_COVER = 0.5
-"""Target pixels that receive less weight than this are holes."""
+"""Target pixels that receive less weight than this are holes. Chosen by eye."""
 
 INPAINT_RADIUS = 3
+"""Pixels around a hole from which ``cv2.inpaint`` fills it. Chosen by eye."""
 
 
 def to_float(image: np.ndarray) -> np.ndarray:

@@ -16,7 +16,9 @@ MAX_PSNR = 100.0
 """dB; identical images get this instead of infinity, so that means and JSON stay finite."""
 
 SSIM_WINDOW, SSIM_SIGMA = 11, 1.5
+"""Side in pixels and standard deviation of the window of SSIM, as in Wang et al. 2004 (docs/method.md, "Evaluation protocols")."""
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
+"""The constants of SSIM, (0.01 L)^2 and (0.03 L)^2 for values up to L = 1, as in Wang et al. 2004."""
 
 
 def _inside(values: np.ndarray, mask: np.ndarray | None) -> np.ndarray | None:

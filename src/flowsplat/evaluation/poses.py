@@ -22,13 +22,14 @@ from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.scenes.clip import resize_image
 from flowsplat.splatting import blend, project
 
-LEVELS = ((3, 10), (1, 5))
-"""By how much the image is shrunk, and how many steps are taken then: coarse first, because steps see no farther than texture."""
+PYRAMID_LEVELS = ((3, 10), (1, 5))
+"""By how much the image is shrunk, and how many steps are taken then: coarse first, because steps see no farther than texture.
+Chosen by eye."""
 
-SHORTEST_SIDE = 24
-"""Pixels below which a shrunk image tells nothing."""
+MIN_SIDE = 24
+"""Pixels below which a shrunk image tells nothing. Chosen by eye."""
 
-LEAST_GAIN = 2e-3
+MIN_GAIN = 2e-3
 """A step that lowers the error by a smaller share ends a level: that is a hundredth of a decibel."""
 
 
@@ -50,9 +51,9 @@ def refine_camera(model: SceneModel, camera: Camera, t: float, target: np.ndarra
     """
     clip_time, start = model.clip_time(t), model.similarity.camera(camera)
     found = start
-    for shrink, steps in LEVELS:
+    for shrink, steps in PYRAMID_LEVELS:
         size = round(camera.width / shrink), round(camera.height / shrink)
-        if min(size) >= SHORTEST_SIDE:
+        if min(size) >= MIN_SIDE:
             image = resize_image(np.asarray(target, np.float32), size)
             # What a shrunk image says may be worse than where it started: small Gaussians are drawn wider there.
             starts = [start.resize(*size)] if found is start else [start.resize(*size), found.resize(*size)]
@@ -95,7 +96,7 @@ def _descend(gaussians: Gaussians4D, starts: Sequence[Camera], t: float, target:
             continue
         gain = 1 - closer.error / look.error
         camera, look, damping = moved, closer, 0.3 * damping
-        if gain < LEAST_GAIN:
+        if gain < MIN_GAIN:
             break
     return camera
 

@@ -12,8 +12,8 @@ from flowsplat.gaussians.tracking import follow_points
 from flowsplat.geometry import Camera
 from flowsplat.scenes import Scene
 
-SPAN = 12
-"""Frames over which a point is followed from the one in which it is asked for."""
+TRACK_SPAN = 12
+"""Frames over which a point is followed from the one in which it is asked for. Chosen by eye."""
 
 
 def track_errors(model: SceneModel, scene: Scene, births: np.ndarray | None = None) -> dict[str, Any] | None:
@@ -21,7 +21,7 @@ def track_errors(model: SceneModel, scene: Scene, births: np.ndarray | None = No
 
     Errors are distances over the point's true depth, in percent, both in the axes of the camera of the same time, so that they
     mean the same with estimated cameras (docs/method.md, "Evaluation protocols"); these get one scale for the clip. Compared are
-    the ``SPAN`` frames after
+    the ``TRACK_SPAN`` frames after
     the query, or before it where the clip ends sooner and there are more, in which the true point is visible.
 
     Args:
@@ -52,9 +52,9 @@ def track_errors(model: SceneModel, scene: Scene, births: np.ndarray | None = No
     errors[np.isnan(errors)] = np.inf
     steps = np.arange(scene.num_frames) - births[:, None]
     remaining = scene.num_frames - 1 - births
-    steps[(remaining < SPAN) & (remaining < births)] *= -1
-    counted = (steps > 0) & (steps <= SPAN) & visible
-    last = counted & (steps == SPAN)
+    steps[(remaining < TRACK_SPAN) & (remaining < births)] *= -1
+    counted = (steps > 0) & (steps <= TRACK_SPAN) & visible
+    last = counted & (steps == TRACK_SPAN)
     regions = {"all": np.ones(len(moving), bool), "moving": moving, "static": ~moving}
     return {name: _figures(errors, counted, last, paths.visible, part) for name, part in regions.items()}
 

@@ -11,8 +11,8 @@ from torch import Tensor
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 
-SLACK = 1e-3
-"""Of the clip's length: what a time may lie outside of it, so that seconds that were rounded are still within."""
+TIME_SLACK = 1e-3
+"""Of the clip's length: what a time may lie outside of it, so that seconds that were rounded are still within. Chosen by eye."""
 
 
 def to_number(value: Any, name: str) -> float:
@@ -43,7 +43,7 @@ def check_time(value: Any, first: float, last: float, name: str = "t", unit: str
         InputError: it is no number, or outside the clip.
     """
     t = to_number(value, name)
-    slack = SLACK * (last - first)
+    slack = TIME_SLACK * (last - first)
     if not first - slack <= t <= last + slack:
         raise InputError(f"{name} is {t:g}{unit and ' '}{unit}, outside the clip ({first:g} to {last:g}{unit and ' '}{unit}).")
     return t

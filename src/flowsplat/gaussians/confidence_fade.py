@@ -14,14 +14,17 @@ from torch import Tensor
 from flowsplat.gaussians.gaussians4d import Gaussians4D
 
 MIN_FRAMES = 3
-"""Frames that must have seen a point."""
+"""Frames that must have seen a point. Chosen on workshop and garden (docs/method.md, "Evaluation protocols"; docs/results.md)."""
 MAX_SPREADS = 12.0
-"""Times the spread of the directions from which a point was seen is the furthest from which it is shown as it is."""
-LEAST_REACH = 0.02
-"""What a Gaussian that too few saw may be off all the same, a degree: small swings stay whole."""
-ALL_AROUND = 2.0
+"""Times the spread of the directions from which a point was seen is the furthest from which it is shown as it is. Chosen on
+workshop and garden (docs/method.md, "Evaluation protocols"; docs/results.md)."""
+MIN_FADE_REACH = 0.02
+"""What a Gaussian that too few saw may be off all the same, a degree: small swings stay whole (docs/method.md, "Evaluation
+protocols")."""
+MAX_DIRECTION_DIFFERENCE = 2.0
 """Directions cannot differ by more: the length of the difference of opposite ones."""
 _MIN_OPACITY = 1e-7
+"""Opacities are kept this far from 0 and 1, where their logit ends."""
 
 
 def reach(seen: Tensor) -> Tensor:
@@ -30,7 +33,7 @@ def reach(seen: Tensor) -> Tensor:
     As the length of the difference of unit vectors; of ``Gaussians4D.seen`` [N, 2].
     """
     frames, spread_of = seen.unbind(1)
-    return torch.where(frames >= MIN_FRAMES, MAX_SPREADS * spread_of, torch.zeros_like(spread_of)).clamp(min=LEAST_REACH)
+    return torch.where(frames >= MIN_FRAMES, MAX_SPREADS * spread_of, torch.zeros_like(spread_of)).clamp(min=MIN_FADE_REACH)
 
 
 def apply_confidence_fade(gaussians: Gaussians4D, viewer: np.ndarray, own: np.ndarray) -> Gaussians4D:

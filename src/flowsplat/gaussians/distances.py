@@ -26,8 +26,8 @@ from flowsplat.geometry.paths import CameraPath
 from flowsplat.splatting.rules import EPS2D
 
 MIN_FACTOR, MAX_FACTOR = 0.1, 10.0
-"""The smallest and the largest factor: what lies beyond is a slip of whoever typed it."""
-_STEP = 1e-4
+"""The smallest and the largest factor: what lies beyond is a slip of whoever typed it. Chosen by eye."""
+_SPEED_TIME_STEP = 1e-4
 """Of clip time, to tell how fast the camera goes."""
 
 
@@ -49,7 +49,7 @@ class Distances:
 
     def compute_speed(self, t: float) -> np.ndarray:
         """Return [3] how far C(t) goes per clip length; 0 before and after the clip, where it stands."""
-        before, after = np.clip([t - _STEP, t + _STEP], self.path.times[0], self.path.times[-1])
+        before, after = np.clip([t - _SPEED_TIME_STEP, t + _SPEED_TIME_STEP], self.path.times[0], self.path.times[-1])
         return (self.center(after) - self.center(before)) / (after - before) if after > before else np.zeros(3)
 
     def move(self, points: Tensor, object_ids: Tensor, t: float) -> Tensor:

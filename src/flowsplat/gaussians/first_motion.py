@@ -20,33 +20,34 @@ from flowsplat.geometry.interpolation import sample_map
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-NODES, SMALLEST_GAP = 0.0125, 4.5
-"""Widths of the image between two nodes, and pixels at least."""
+NODE_SPACING, MIN_NODE_SPACING = 0.0125, 4.5
+"""Widths of the image between two nodes, and pixels at least (docs/method.md, "Initialization")."""
 NEIGHBORHOOD_SIGMA = 1.5
-"""Standard deviation, in gaps between nodes, of how far around a node pixels count."""
-NEIGHBORS = 48
-"""Pixels that are asked at a node."""
-DENSITY = 3
-"""As many pixels in a gap between two nodes are followed, beside those whose motion is wanted."""
-CHOICE, AT_A_TIME = 8, 20_000
-"""Nodes among which a pixel chooses, and how many pixels do so at a time, for the memory."""
-COLORS, LEAST_ALIKE = 30.0, 9.0
-"""Gray levels by which colors of one part differ, and the square, in these, beyond which it makes no difference."""
-PATH_SIGMA, LEAST_LIKE = 0.5, 50.0
-"""The same of paths, in pixels."""
+"""Standard deviation, in gaps between nodes, of how far around a node pixels count. Chosen by eye."""
+NODE_NEIGHBORS = 48
+"""Pixels that are asked at a node (docs/method.md, "Initialization")."""
+PIXELS_PER_GAP = 3
+"""As many pixels in a gap between two nodes are followed, beside those whose motion is wanted. Chosen by eye."""
+CANDIDATE_NODES, PIXELS_AT_A_TIME = 8, 20_000
+"""Nodes among which a pixel chooses, and how many pixels do so at a time, for the memory (docs/method.md, "Initialization")."""
+COLOR_SIGMA, MAX_COLOR_DISTANCE = 30.0, 9.0
+"""Gray levels by which colors of one part differ, and the square, in these, beyond which it makes no difference. Chosen by eye."""
+PATH_SIGMA, MAX_PATH_DISTANCE = 0.5, 50.0
+"""The same of paths, in pixels. Chosen by eye."""
 REWEIGHTINGS = 4
-"""Of reweighting."""
+"""Of reweighting (docs/method.md, "Initialization")."""
 PRESENCE_SIGMA = 0.8
-"""Standard deviation, in those of the presence, of how much a time counts that is so far off."""
-CONFIDENCE_POWER, LEAST_SURE = 2.0, 1e-3
+"""Standard deviation, in those of the presence, of how much a time counts that is so far off (docs/method.md, "Initialization")."""
+CONFIDENCE_POWER, MIN_FLOW_CONFIDENCE = 2.0, 1e-3
 """Flow that does not come back counts this power of its confidence, where that is not less than the second number: it is often
-right, and the neighbors judge."""
-RIDGE, GRADIENT_RIDGE = 1e-3, 1e-1
-"""Of the first order in time, in shares of what the observations weigh: ten times as much for every further order."""
+right, and the neighbors judge (docs/method.md, "Initialization")."""
+TIME_RIDGE, GRADIENT_RIDGE = 1e-3, 1e-1
+"""Of the first order in time, in shares of what the observations weigh: ten times as much for every further order. Chosen by eye.
+"""
 MIN_OWN_SHARE = 0.5
-"""Of the pixels around a place, by their weight, what share must belong to the object."""
-ALONG_RAY = 0.1
-"""What a pixel along the ray counts, relative to one across it."""
+"""Of the pixels around a place, by their weight, what share must belong to the object. Chosen by eye."""
+ALONG_RAY_WEIGHT = 0.1
+"""What a pixel along the ray counts, relative to one across it. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class _Paths:
         points: [N, 2] pixels.
         colors: [N, 3] gray levels.
         normal: [N, order, order] of w b b^T, with b the powers of time.
-        right: [N, order, 3] of w b d^T, with d the way from the start; along the ray it counts ``ALONG_RAY``.
+        right: [N, order, 3] of w b d^T, with d the way from the start; along the ray it counts ``ALONG_RAY_WEIGHT``.
         square: [N] of w d^T d.
         weight: [N] of w; 0 where a pixel was never found again.
     """
@@ -80,8 +81,8 @@ def fit_motion(observations: Observations, k: int, wanted: np.ndarray, sigma: fl
         reach: training frames to either side in which they are followed.
     """
     frame = observations[k]
-    gap = max(SMALLEST_GAP, NODES * observations.size[0])
-    step = max(1, round(gap / DENSITY))
+    gap = max(MIN_NODE_SPACING, NODE_SPACING * observations.size[0])
+    step = max(1, round(gap / PIXELS_PER_GAP))
     y, x = np.mgrid[: wanted.shape[0], : wanted.shape[1]]
     evenly = (x % step == step // 2) & (y % step == step // 2)
     rows, columns = np.nonzero(frame.mask & (wanted | evenly))
@@ -90,7 +91,7 @@ def fit_motion(observations: Observations, k: int, wanted: np.ndarray, sigma: fl
     start = frame.camera.unproject(points, frame.depth[rows, columns].astype(np.float64))
     # How far a pixel spans at the place of each, in units of the scene.
     unit = frame.depth[rows, columns].astype(np.float64) / frame.camera.K[0, 0]
-    axes = np.array([1, 1, ALONG_RAY])[:, None] * frame.camera.viewmat[:3, :3]
+    axes = np.array([1, 1, ALONG_RAY_WEIGHT])[:, None] * frame.camera.viewmat[:3, :3]
     normal, right = np.zeros((len(points), order, order)), np.zeros((len(points), order, 3))
     square, total = np.zeros(len(points)), np.zeros(len(points))
     owners = frame.object_ids[rows, columns]
@@ -144,7 +145,7 @@ def follow(
             current += step
             frame = observations[current]
             depth, share = _inside(frame.depth[..., None], frame.object_ids, here, owners)
-            sure = np.where((share > MIN_OWN_SHARE) & (sure > LEAST_SURE), sure, 0)
+            sure = np.where((share > MIN_OWN_SHARE) & (sure > MIN_FLOW_CONFIDENCE), sure, 0)
             if not sure.any():
                 break
             world = frame.camera.unproject(here, np.where(sure > 0, depth[:, 0], 1).astype(np.float64))
@@ -173,10 +174,10 @@ def _joint(paths: _Paths, mine: np.ndarray, sources: np.ndarray, queries: np.nda
     from scipy.spatial import cKDTree  # A quarter of a second, which those who only look at a scene need not wait.
 
     nodes = _nodes(paths.points, mine, gap)
-    away, index = _nearest(cKDTree(paths.points[sources]), paths.points[nodes], min(NEIGHBORS, len(sources)))
+    away, index = _nearest(cKDTree(paths.points[sources]), paths.points[nodes], min(NODE_NEIGHBORS, len(sources)))
     motion = _fit(paths, nodes, sources[index], away, gap)
     tree = cKDTree(paths.points[nodes])
-    parts = [queries[first : first + AT_A_TIME] for first in range(0, len(queries), AT_A_TIME)]
+    parts = [queries[first : first + PIXELS_AT_A_TIME] for first in range(0, len(queries), PIXELS_AT_A_TIME)]
     return np.concatenate([_choose_motion(paths, nodes, motion, tree, part, gap) for part in parts])
 
 
@@ -185,11 +186,11 @@ def _choose_motion(
 ) -> np.ndarray:
     """Return the motion [Q, order, 3] of pixels from that of the nodes: of those around that explain their own paths and have their
     color."""
-    away, index = _nearest(tree, paths.points[queries], min(CHOICE, len(nodes)))
+    away, index = _nearest(tree, paths.points[queries], min(CANDIDATE_NODES, len(nodes)))
     place = _make_design_rows(paths.points[queries][:, None], paths.points[nodes[index]], gap)
     models = (place[..., None, None] * motion[index]).sum(-3)
-    cost = (away / gap) ** 2 + np.minimum(_unlike(paths, queries[:, None], nodes[index]), LEAST_ALIKE)
-    cost += np.minimum(_misfit(paths, queries[:, None], models) / PATH_SIGMA**2, LEAST_LIKE)
+    cost = (away / gap) ** 2 + np.minimum(_unlike(paths, queries[:, None], nodes[index]), MAX_COLOR_DISTANCE)
+    cost += np.minimum(_misfit(paths, queries[:, None], models) / PATH_SIGMA**2, MAX_PATH_DISTANCE)
     share = np.exp(-0.5 * (cost - cost.min(1, keepdims=True)))
     share /= share.sum(1, keepdims=True)
     return np.asarray((share[..., None, None] * models).sum(1))
@@ -203,7 +204,7 @@ def _fit(paths: _Paths, nodes: np.ndarray, index: np.ndarray, away: np.ndarray, 
         np.exp(-0.5 * np.minimum(away / (NEIGHBORHOOD_SIGMA * gap), 4) ** 2) / (1 + _unlike(paths, index, nodes[:, None])) + 1e-6
     )
     (count, around), order = index.shape, paths.normal.shape[-1]
-    ridges = np.concatenate([RIDGE * 10.0 ** np.arange(order), np.tile(GRADIENT_RIDGE * 10.0 ** np.arange(order), 2)])
+    ridges = np.concatenate([TIME_RIDGE * 10.0 ** np.arange(order), np.tile(GRADIENT_RIDGE * 10.0 ** np.arange(order), 2)])
     normal, right = paths.normal[index].reshape(count, around, -1), paths.right[index].reshape(count, around, -1)
     squares = (place[..., :, None] * place[..., None, :]).reshape(count, around, 9)
     factor = np.ones(index.shape)
@@ -242,7 +243,7 @@ def _make_design_rows(points: np.ndarray, nodes: np.ndarray, gap: float) -> np.n
 
 def _unlike(paths: _Paths, pixels: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Return [...] squares of how much colors differ."""
-    return np.asarray(((paths.colors[pixels] - paths.colors[others]) ** 2).sum(-1) / COLORS**2)
+    return np.asarray(((paths.colors[pixels] - paths.colors[others]) ** 2).sum(-1) / COLOR_SIGMA**2)
 
 
 def _misfit(paths: _Paths, pixels: np.ndarray, models: np.ndarray) -> np.ndarray:

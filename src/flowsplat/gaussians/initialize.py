@@ -24,12 +24,12 @@ from flowsplat.scenes import Tracks
 from flowsplat.splatting.harmonics import harmonics_from_colors
 
 BACKGROUND_LOG_LAMBDA = float(np.log(1e-6))
-HARDLY_ANY = 0.05
-"""Share of the objects' pixels of a frame: where fewer have trusted depth, all of them are used."""
+MIN_TRUSTED_SHARE = 0.05
+"""Share of the objects' pixels of a frame: where fewer have trusted depth, all of them are used. Chosen by eye."""
 FITTING_TRIES = 3
-"""How often the grids are made coarser until the cap holds."""
+"""How often the grids are made coarser until the cap holds. Chosen by eye."""
 FITTING_MARGIN = 1.01
-"""By how much coarser than the count says."""
+"""By how much coarser than the count says. Chosen by eye."""
 
 
 @bounds_in_help
@@ -257,7 +257,7 @@ def _initialize_objects(
     for k in sampled:
         frame = observations[k]
         usable = frame.mask & frame.depth_trusted
-        if usable.sum() < HARDLY_ANY * frame.mask.sum():
+        if usable.sum() < MIN_TRUSTED_SHARE * frame.mask.sum():
             usable = frame.mask  # At a guessed depth is better than not at all: nothing else makes objects.
         if config.foreground == "pixels":
             wanted, spacing = _choose_pixels(frame, usable, config.foreground_spacing, config, rng)

@@ -22,16 +22,16 @@ from flowsplat.gaussians.renderer import Part, Renderer, Rendering, numbers_of
 from flowsplat.gaussians.shadow_free import without_shadows
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.geometry.paths import CameraPath
-from flowsplat.images.html import THUMBNAIL, format_facts
+from flowsplat.images.html import THUMBNAIL_WIDTH, format_facts
 from flowsplat.splatting.api import BackendName
 from flowsplat.splatting.rules import EPS2D
 
 _BLUR_STEPS = 16
 """Steps of the blur's width between pixels as in training and twice as fine."""
-MOST_AT_ONCE = 4
-"""Images that are rendered at the same time at most: each holds memory of its own."""
-_MOST_GRAPHS = 4
-"""Sizes of images whose graphs are kept; each has buffers of its own."""
+MAX_CONCURRENT_RENDERS = 4
+"""Images that are rendered at the same time at most: each holds memory of its own. Chosen by eye."""
+_MAX_GRAPHS = 4
+"""Sizes of images whose graphs are kept; each has buffers of its own. Chosen by eye."""
 
 
 @dataclass
@@ -91,7 +91,7 @@ class SceneModel:
         if self.viewpoint is None:
             return None
         camera, t = self.viewpoint
-        factor = min(1.0, THUMBNAIL / camera.width)
+        factor = min(1.0, THUMBNAIL_WIDTH / camera.width)
         size = [max(round(side * factor), 1) for side in (camera.width, camera.height)]
         return self.render(camera.resize(*size), t).color
 
@@ -172,7 +172,7 @@ class SceneModel:
 
             key = (camera.width, camera.height, other is not None, self.blur(camera))
             if key not in self._drawn_by:
-                while len(self._drawn_by) >= _MOST_GRAPHS:
+                while len(self._drawn_by) >= _MAX_GRAPHS:
                     del self._drawn_by[next(iter(self._drawn_by))]
                 self._drawn_by[key] = FixedRenderer(g, *key)
             image, alpha = self._drawn_by[key].render(camera, self.clip_time(t), other)
@@ -276,4 +276,4 @@ class SceneModel:
 def at_once(renderer: Renderer) -> int:
     """Return how many images of a scene may be rendered at the same time, by as many Python threads (``common.threads``)."""
     on_cpu = isinstance(renderer, SceneModel) and renderer.gaussians.device.type == "cpu"
-    return min(thread_count(), MOST_AT_ONCE) if on_cpu else 1
+    return min(thread_count(), MAX_CONCURRENT_RENDERS) if on_cpu else 1

@@ -6,13 +6,15 @@ import cv2
 import numpy as np
 
 MAX_SPACING_FACTOR = 2.0
-"""How many times as far apart as on average they are at most, where there is nothing to see."""
+"""How many times as far apart as on average they are at most, where there is nothing to see (docs/method.md, "Where preset
+`default` differs from the paper")."""
 _DETAIL_SIGMA, _DETAIL_WINDOW = 1.0, 3.0
-"""Standard deviations, pixels: what is finer than the first is detail, and it is averaged over the second."""
+"""Standard deviations, pixels: what is finer than the first is detail, and it is averaged over the second. Chosen on bear, train
+and workshop (docs/method.md, "Where preset `default` differs from the paper"; docs/results.md)."""
 _DETAIL_FLOOR = 1 / 255
 """Detail that every image has: a step of its own numbers."""
-_PROBES = 20_000
-"""Pixels that say how many there would be."""
+_PROBED_PIXELS = 20_000
+"""Pixels that say how many there would be. Chosen by eye."""
 
 
 def detail(image: np.ndarray) -> np.ndarray:
@@ -46,7 +48,7 @@ def spacings(weight: np.ndarray, region: np.ndarray, spacing: float) -> np.ndarr
     wanted = 1 / spacing**2
     lowest = wanted / MAX_SPACING_FACTOR**2
     probes = weight[region]
-    probes = probes[:: max(1, len(probes) // _PROBES)]
+    probes = probes[:: max(1, len(probes) // _PROBED_PIXELS)]
     if len(probes) == 0:
         return np.full(weight.shape, spacing, np.float32)
     low, high = lowest / probes.max(), 1 / probes.min()

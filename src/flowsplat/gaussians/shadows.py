@@ -21,43 +21,50 @@ from flowsplat.gaussians.model import SceneModel, at_once
 from flowsplat.geometry import Camera
 
 NEAR_OBJECT_SIZES = 3.0
-"""Sizes of an object (square root of its area in the image) from its mask within which its shadow may fall."""
+"""Sizes of an object (square root of its area in the image) from its mask within which its shadow may fall
+(docs/method.md, "Where preset `default` differs from the paper")."""
 
 MIN_CLEAR_FRAMES = 3
-"""Frames without an object near that must show a surface."""
+"""Frames without an object near that must show a surface (docs/method.md, "Where preset `default` differs from the paper")."""
 
 OWN_BRIGHTNESS_QUANTILE = 0.5
-"""Of these frames' brightness the share below that which a surface has by itself."""
+"""Of these frames' brightness the share below that which a surface has by itself (docs/method.md, "Where preset `default` differs
+from the paper")."""
 
 FEW_FRAMES, FEW_FRAMES_QUANTILE = 8, 0.8
-"""Where there are fewer: frames that must show it, and the share of their brightness below that which it has by itself."""
+"""Where there are fewer: frames that must show it, and the share of their brightness below that which it has by itself
+(docs/method.md, "Where preset `default` differs from the paper")."""
 
-MUCH_DARKER = 0.15
-"""As ``MIN_LOG_DARKENING``, there."""
+FEW_FRAMES_DARKENING = 0.15
+"""As ``MIN_LOG_DARKENING``, there (docs/method.md, "Where preset `default` differs from the paper")."""
 
 MIN_LOG_DARKENING = 0.03
-"""Logarithm of the brightness by which a surface must be darker beside objects, or it is left as it is."""
+"""Logarithm of the brightness by which a surface must be darker beside objects, or it is left as it is (docs/method.md, "Where
+preset `default` differs from the paper")."""
 
 SHADOW_NEIGHBORS, NEIGHBOR_LIMITS = 16, 1.0
-"""Nearest Gaussians at rest, most of which must be darker by so many limits, too."""
+"""Nearest Gaussians at rest, most of which must be darker by so many limits, too (docs/method.md, "Where preset `default` differs
+from the paper")."""
 
 MAX_DEPTH_JUMP, EDGE_FRAME_SHARE = 0.05, 0.5
 """Share of its depth by which a pixel is off the plane around at an edge, and of the frames that see a surface there, from which
-nothing is told of it."""
+nothing is told of it (docs/method.md, "Where preset `default` differs from the paper")."""
 
-STIFFNESS = 1e-4
-"""Weight of the squared gains, times that of their wave, against the squared errors of brightness."""
+GAIN_STIFFNESS = 1e-4
+"""Weight of the squared gains, times that of their wave, against the squared errors of brightness. Chosen by eye."""
 
 EXPOSURE_POINTS = 20_000
-"""About how many points that are never beside an object tell how bright whole frames are."""
+"""About how many points that are never beside an object tell how bright whole frames are. Chosen by eye."""
 
 UNSEEN_WEIGHT = 0.3
-"""Weight of times at which a surface is not seen."""
+"""Weight of times at which a surface is not seen. Chosen by eye."""
 
 _SURFACE_TOLERANCE = 0.05
-"""Share of its distance by which a point may lie behind the surface that a frame sees."""
+"""Share of its distance by which a point may lie behind the surface that a frame sees. Chosen by eye."""
 _MIN_ALPHA = 0.5
-_ROWS = 8192
+"""Alpha from which something is there. Chosen by eye."""
+_ROWS_AT_A_TIME = 8192
+"""Gaussians whose gains are fitted at a time, for the memory. Chosen by eye."""
 
 
 def add_shadow_free(
@@ -101,7 +108,7 @@ def add_shadow_free(
     level[beside_only] = _quantile(curve[beside_only] - exposure, seen[beside_only], FEW_FRAMES_QUANTILE)
     shade = np.where(seen & ~far, curve - exposure - level[:, None], 0)
     darkest = np.where(told | beside_only, shade.min(1), 0)
-    limit = np.where(told, MIN_LOG_DARKENING, MUCH_DARKER)
+    limit = np.where(told, MIN_LOG_DARKENING, FEW_FRAMES_DARKENING)
     times_limit = np.zeros(len(points), np.float32)
     times_limit[chosen] = darkest / limit
     # A shadow is no matter of single Gaussians: most around must be as dark.
@@ -172,11 +179,11 @@ def _fit(target: np.ndarray, weight: np.ndarray, cosines: torch.Tensor) -> torch
     """Return a constant and gains [N, 1 + G] whose curves are nearest to ``target`` [N, T], by its ``weight``."""
     T, G = cosines.shape
     A = torch.cat([torch.ones(T, 1, dtype=torch.float64), cosines], 1)
-    held = STIFFNESS * T * torch.diag(torch.cat([torch.zeros(1), torch.arange(1.0, G + 1)]).double())
+    held = GAIN_STIFFNESS * T * torch.diag(torch.cat([torch.zeros(1), torch.arange(1.0, G + 1)]).double())
     parts = []
-    for start in range(0, len(target), _ROWS):
-        w = torch.from_numpy(weight[start : start + _ROWS])
-        b = torch.from_numpy(target[start : start + _ROWS])
+    for start in range(0, len(target), _ROWS_AT_A_TIME):
+        w = torch.from_numpy(weight[start : start + _ROWS_AT_A_TIME])
+        b = torch.from_numpy(target[start : start + _ROWS_AT_A_TIME])
         normal = torch.einsum("tp,nt,tq->npq", A, w, A) + held + 1e-9 * torch.eye(G + 1, dtype=torch.float64)
         parts.append(torch.linalg.solve(normal, torch.einsum("tp,nt->np", A, w * b)))
     return torch.cat(parts)

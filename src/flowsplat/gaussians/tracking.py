@@ -19,16 +19,16 @@ from flowsplat.geometry import Camera
 from flowsplat.geometry.rotations import covariances, quats_to_rotations
 from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 
-CARRIERS = 32
-"""At most so many Gaussians carry a point."""
+MAX_CARRIERS = 32
+"""At most so many Gaussians carry a point. Chosen by eye."""
 SURFACE_TOLERANCE = 0.05
-"""Relative difference of depth up to which two things are one surface."""
+"""Relative difference of depth up to which two things are one surface. Chosen by eye."""
 HANDOVER_SHARE = 0.5
-"""Carriers hand over when less than this share of the weight that they were chosen for is left."""
+"""Carriers hand over when less than this share of the weight that they were chosen for is left. Chosen by eye."""
 HANDOVER_SIGMAS = 4.0
-"""Standard deviations from a point within which a Gaussian may take over; further away the nearest ones do."""
-TOO_FAR = 0.1
-"""Share of its distance to the camera further than which nothing takes over a point."""
+"""Standard deviations from a point within which a Gaussian may take over; further away the nearest ones do. Chosen by eye."""
+MAX_CARRIER_DISTANCE = 0.1
+"""Share of its distance to the camera further than which nothing takes over a point. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ def _find_point_at(gaussians: Gaussians4D, frame: _Frame, camera: Camera, uv: np
 
 def _strongest(gaussians: Gaussians4D, rows: np.ndarray, weights: np.ndarray, presence: np.ndarray) -> _Carriers:
     """Carriers from the weights and the presence that Gaussians have at a time."""
-    best = np.argsort(-weights, kind="stable")[:CARRIERS]
+    best = np.argsort(-weights, kind="stable")[:MAX_CARRIERS]
     rows, weights, presence = rows[best], weights[best], presence[best]
     return _Carriers(rows, weights / np.maximum(presence, gaussians.config.p_min), float(weights.sum()))
 
@@ -279,11 +279,11 @@ def _take_over(
         if not len(rows):
             continue
         tree = cKDTree(_centers(gaussians, rows, t))
-        distance, nearest = (part.reshape(len(members), -1) for part in tree.query(points[members], min(CARRIERS, len(rows))))
+        distance, nearest = (part.reshape(len(members), -1) for part in tree.query(points[members], min(MAX_CARRIERS, len(rows))))
         depth = np.abs(camera.project(points[members])[1])
         near = rows.numpy()[nearest]
         weights, presence = _density(gaussians, near, points[members], t, depth / camera.K[0, 0])
-        for k in np.flatnonzero(distance[:, 0] <= TOO_FAR * depth):
+        for k in np.flatnonzero(distance[:, 0] <= MAX_CARRIER_DISTANCE * depth):
             found[members[k]] = _strongest(gaussians, near[k], weights[k], presence[k])
     yield from (found.get(q) for q in apply_confidence_fade)
 

@@ -16,23 +16,25 @@ import torch
 
 from flowsplat.common.spread import spread
 from flowsplat.common.threads import in_threads
-from flowsplat.gaussians.confidence_fade import ALL_AROUND, MAX_SPREADS, MIN_FRAMES
+from flowsplat.gaussians.confidence_fade import MAX_DIRECTION_DIFFERENCE, MAX_SPREADS, MIN_FRAMES
 from flowsplat.gaussians.model import SceneModel, at_once
 from flowsplat.gaussians.renderer import PartedRenderer
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import unproject_depth
 
 ASKED_FRAMES = 32
-"""Frames of the clip that are asked, evenly over it."""
+"""Frames of the clip that are asked, evenly over it (docs/method.md, "Evaluation protocols")."""
 SMALL_WIDTH = 160
-"""Pixels of width of the images that are looked at."""
+"""Pixels of width of the images that are looked at. Chosen by eye."""
 _MIN_ALPHA = 0.5
-"""Alpha from which something is there."""
+"""Alpha from which something is there. Chosen by eye."""
 _SURFACE_TOLERANCE = 0.05
-"""Share of its distance by which a point may lie behind the surface that a frame sees."""
-_LEAST_SPREAD = 1e-6
+"""Share of its distance by which a point may lie behind the surface that a frame sees (docs/method.md, "Evaluation protocols")."""
+_MIN_SPREAD = 1e-6
+"""Spread of directions, at least, so that a division stays finite."""
 _MIN_DISTANCE_SHARE = 0.5
-"""Share of the distance of the nearest object from the clip's camera, below which a camera is too close to one."""
+"""Share of the distance of the nearest object from the clip's camera, below which a camera is too close to one
+(docs/method.md, "Evaluation protocols")."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +114,7 @@ class ClipVisibility:
         mean = total / np.maximum(count, 1)[:, None]
         # Of unit vectors the mean square distance from their mean is one less the square of its length.
         squared = np.where(count > 0, 1 - (mean**2).sum(1), 0)
-        return count, _unit(mean), np.sqrt(np.maximum(squared, _LEAST_SPREAD**2))
+        return count, _unit(mean), np.sqrt(np.maximum(squared, _MIN_SPREAD**2))
 
     def share(self, camera: Camera, t: float) -> float:
         """Return share of a view that the clip does not tell, 0 to 1."""
@@ -146,7 +148,7 @@ def with_seen(model: SceneModel, cameras: Sequence[Camera], times: Sequence[floa
     seen = torch.zeros(len(gaussians), 2, device=gaussians.device)
     for k in spread(len(cameras), ASKED_FRAMES):
         seen[gaussians.active(model.clip_time(times[k])).rows, 0] += 1
-    seen[:, 1] = ALL_AROUND
+    seen[:, 1] = MAX_DIRECTION_DIFFERENCE
     seen[background] = torch.from_numpy(np.stack([count, spread_of], 1)).to(seen)
     return replace(model, gaussians=replace(gaussians, seen=seen))
 

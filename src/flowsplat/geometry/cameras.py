@@ -13,7 +13,7 @@ OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """From OpenCV's axes of a camera to OpenGL's, with y up and z backward, and back."""
 
 MAX_COORDINATE = 1e9
-"""Coordinates and focal lengths beyond which nothing is a camera: their squares have to stay exact enough."""
+"""Coordinates and focal lengths beyond which nothing is a camera: their squares have to stay exact enough. Chosen by eye."""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-_ROW = 16384
+_REMAP_ROW_LENGTH = 16384
 """Points in a row given to ``cv2.remap``, which takes at most 32767."""
 
 
@@ -16,10 +16,10 @@ def sample_map(values: np.ndarray, points: np.ndarray) -> np.ndarray:
     """
     channels = 1 if values.ndim == 2 else values.shape[2]
     count = len(points)
-    rows = -(-count // _ROW)
+    rows = -(-count // _REMAP_ROW_LENGTH)
     if rows == 0:
         return np.zeros((0, channels), values.dtype)
-    where = np.zeros((rows * min(count, _ROW), 2), np.float32)
+    where = np.zeros((rows * min(count, _REMAP_ROW_LENGTH), 2), np.float32)
     where[:count] = np.nan_to_num(points, nan=-1.0, posinf=1e6, neginf=-1e6) - 0.5
     x, y = where.reshape(rows, -1, 2).transpose(2, 0, 1).copy()
     sampled = cv2.remap(np.ascontiguousarray(values), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

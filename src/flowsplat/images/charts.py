@@ -14,22 +14,25 @@ from markupsafe import Markup
 Points = tuple[Sequence[float | None], Sequence[float | None]]
 """(x, y) of a line; None or what is not finite leaves a gap."""
 
-MOST_SERIES = 5
-"""Of a chart: each has a color of its own."""
+MAX_SERIES = 5
+"""Of a chart: each has a color of its own. Chosen by eye."""
 
 _WIDTH, _HEIGHT = 640, 260
+"""Size of a chart in units of its SVG. Chosen by eye."""
 _LEFT, _RIGHT, _TOP, _BOTTOM = 58, 20, 12, 44
-_LEGEND = 22
-"""Height of the row with the names of the lines."""
-_LETTER = 7
+"""Room around the axes for their labels, in units of the SVG. Chosen by eye."""
+_LEGEND_HEIGHT = 22
+"""Height of the row with the names of the lines. Chosen by eye."""
+_LETTER_WIDTH = 7
 """About the width of a letter, to put names beside each other."""
-_MOST_POINTS = 400
-_DOT = 3.0
-"""Radius of a marked point."""
-_NAMES = 292
-"""Width of the column with the names of the bars."""
-_BAR = 10
-"""Height of a bar; a row has two, and a gap as high as one."""
+_MAX_POINTS = 400
+"""Points of a line, at most: more than a chart has room for. Chosen by eye."""
+_DOT_RADIUS = 3.0
+"""Radius of a marked point. Chosen by eye."""
+_NAMES_WIDTH = 292
+"""Width of the column with the names of the bars. Chosen by eye."""
+_BAR_HEIGHT = 10
+"""Height of a bar; a row has two, and a gap as high as one. Chosen by eye."""
 _FILE_STYLE = (
     ".chart{font:12px system-ui,sans-serif;background:#fff}.chart text{fill:#666b73}.chart .right{text-anchor:end}"
     ".chart .middle{text-anchor:middle}.chart .name{fill:#1c1e21}.chart .grid{stroke:#e2e3e6}"
@@ -54,18 +57,18 @@ def svg_file(chart: Markup) -> str:
 def line_chart(
     series: Mapping[str, Points], *, title: str, x_label: str, y_label: str, log: bool = False, dots: bool = False
 ) -> Markup:
-    """Return an SVG chart with one line for every named series (at most ``MOST_SERIES``), axes, grid and a legend.
+    """Return an SVG chart with one line for every named series (at most ``MAX_SERIES``), axes, grid and a legend.
 
     ``log`` draws y on a logarithmic axis; values that are not positive are left out then. ``dots`` marks every point.
     """
-    if len(series) > MOST_SERIES:
-        raise ValueError(f"a chart shows at most {MOST_SERIES} lines, not {len(series)}")
+    if len(series) > MAX_SERIES:
+        raise ValueError(f"a chart shows at most {MAX_SERIES} lines, not {len(series)}")
     lines = {name: _clean(points, log) for name, points in series.items()}
     xs, ys = (np.concatenate([line[k][np.isfinite(line[1])] for line in lines.values()] or [[]]) for k in (0, 1))
     if not len(xs):
         return Markup('<p class="none">{}: nothing was recorded.</p>').format(title)
     legend = _legend(list(lines)) if len(lines) > 1 else Markup()
-    top = _TOP + _LEGEND if legend else _TOP
+    top = _TOP + _LEGEND_HEIGHT if legend else _TOP
     x_axis, y_axis = _Axis(xs, _LEFT, _WIDTH - _RIGHT), _Axis(ys, _HEIGHT - _BOTTOM, top, log)
     return Markup(
         '<svg class="chart" viewBox="0 0 {} {}" role="img" aria-label="{}"><title>{}</title>{}{}{}</svg>'
@@ -76,13 +79,13 @@ def line_chart(
 
 
 def _clean(points: Points, log: bool) -> tuple[np.ndarray, np.ndarray]:
-    """At most ``_MOST_POINTS`` means of neighboring points; gaps are NaN, y is log10 for a logarithmic axis."""
+    """At most ``_MAX_POINTS`` means of neighboring points; gaps are NaN, y is log10 for a logarithmic axis."""
     x, y = (np.array([np.nan if value is None else value for value in part], np.float64) for part in points)
     y[~np.isfinite(y) | (y <= 0 if log else False)] = np.nan
     keep = np.isfinite(x)
     x, y = x[keep], np.log10(y[keep]) if log else y[keep]
-    if len(x) > _MOST_POINTS:
-        chunks = np.array_split(np.arange(len(x)), _MOST_POINTS)
+    if len(x) > _MAX_POINTS:
+        chunks = np.array_split(np.arange(len(x)), _MAX_POINTS)
         x, y = (np.array([part[chunk].mean() for chunk in chunks]) for part in (x, y))
     return x, y
 
@@ -147,18 +150,18 @@ def bar_chart(
         names: what the values are, at most five.
         spreads: by the name of the row, how far the first value may be off; a thin line shows it.
     """
-    if len(names) > MOST_SERIES or any(len(values) != len(names) for values in bars.values()):
-        raise ValueError(f"every row needs one value for each of the {len(names)} names, and there are at most {MOST_SERIES}")
+    if len(names) > MAX_SERIES or any(len(values) != len(names) for values in bars.values()):
+        raise ValueError(f"every row needs one value for each of the {len(names)} names, and there are at most {MAX_SERIES}")
     spreads = spreads or {}
     known = [value for values in bars.values() for value in values if value is not None and np.isfinite(value)]
     if not known:
         return Markup('<p class="none">{}: nothing was recorded.</p>').format(title)
     ends = [values[0] + sign * spreads[row] for row, values in bars.items() if row in spreads and values[0] is not None
             for sign in (-1, 1)]  # fmt: skip
-    row_height = _BAR * (len(names) + 1)
-    top = _TOP + _LEGEND
+    row_height = _BAR_HEIGHT * (len(names) + 1)
+    top = _TOP + _LEGEND_HEIGHT
     bottom = top + row_height * len(bars)
-    x_axis = _Axis(np.array([0.0, *known, *ends]), _NAMES, _WIDTH - _RIGHT)
+    x_axis = _Axis(np.array([0.0, *known, *ends]), _NAMES_WIDTH, _WIDTH - _RIGHT)
     parts = []
     for tick in x_axis.ticks:
         x = float(x_axis.place(tick))
@@ -166,17 +169,21 @@ def bar_chart(
         parts.append(Markup('<text x="{:.1f}" y="{}" class="middle">{}</text>').format(x, bottom + 17, x_axis.label(tick)))
     zero = float(x_axis.place(0.0))
     for k, (row, values) in enumerate(bars.items()):
-        upper = top + k * row_height + 0.5 * _BAR
-        middle = upper + 0.5 * _BAR * len(names)
-        parts.append(Markup('<text x="{}" y="{:.1f}" class="right name">{}</text>').format(_NAMES - 8, middle + 4, row))
+        upper = top + k * row_height + 0.5 * _BAR_HEIGHT
+        middle = upper + 0.5 * _BAR_HEIGHT * len(names)
+        parts.append(Markup('<text x="{}" y="{:.1f}" class="right name">{}</text>').format(_NAMES_WIDTH - 8, middle + 4, row))
         for series, value in enumerate(values):
             if value is not None and np.isfinite(value):
                 end = float(x_axis.place(value))
                 bar = Markup('<rect class="bar" style="fill:var(--series-{})" x="{:.1f}" y="{:.1f}" width="{:.1f}" height="{}"/>')
-                parts.append(bar.format(series + 1, min(zero, end), upper + series * _BAR, max(abs(end - zero), 0.5), _BAR - 1))
+                parts.append(
+                    bar.format(series + 1, min(zero, end), upper + series * _BAR_HEIGHT, max(abs(end - zero), 0.5), _BAR_HEIGHT - 1)
+                )
         if row in spreads and values[0] is not None:
             low, high = (float(x_axis.place(values[0] + sign * spreads[row])) for sign in (-1, 1))
-            parts.append(Markup('<path class="axis" d="M{:.1f} {:.1f}H{:.1f}"/>').format(low, upper + 0.5 * (_BAR - 1), high))
+            parts.append(
+                Markup('<path class="axis" d="M{:.1f} {:.1f}H{:.1f}"/>').format(low, upper + 0.5 * (_BAR_HEIGHT - 1), high)
+            )
     parts.append(Markup('<path class="axis" d="M{:.1f} {}V{}"/>').format(zero, top, bottom))
     label = Markup('<text x="{:.1f}" y="{}" class="middle name">{}</text>')
     parts.append(label.format(0.5 * (x_axis.start + x_axis.end), bottom + 36, x_label))
@@ -210,7 +217,7 @@ def _path(line: tuple[np.ndarray, np.ndarray], x_axis: _Axis, y_axis: _Axis, ind
     for x, y in zip(x_axis.place(line[0]), y_axis.place(line[1]), strict=True):
         if np.isfinite(y):
             commands.append(f"{'L' if pen_down else 'M'}{x:.1f} {y:.1f}")
-            marks.append(dot.format(index + 1, x, y, _DOT))
+            marks.append(dot.format(index + 1, x, y, _DOT_RADIUS))
         pen_down = bool(np.isfinite(y))
     path = Markup('<path class="line" style="stroke:var(--series-{})" d="{}"/>').format(index + 1, "".join(commands))
     return path + Markup().join(marks) if dots else path
@@ -225,5 +232,5 @@ def _legend(names: Sequence[str]) -> Markup:
             '<line class="line" style="stroke:var(--series-{})" x1="{}" x2="{}" y1="{}" y2="{}"/><text x="{}" y="{}">{}</text>'
         )
         entries.append(entry.format(index + 1, x, x + 18, _TOP, _TOP, x + 24, _TOP + 4, name))
-        x += 24 + _LETTER * len(name) + 18
+        x += 24 + _LETTER_WIDTH * len(name) + 18
     return Markup().join(entries)

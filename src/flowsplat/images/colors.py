@@ -12,20 +12,22 @@ import numpy as np
 # last of the 55 steps and jumps at the right. https://vision.middlebury.edu/flow/
 _ARCS = np.array([0, 15, 6, 4, 11, 13, 6])
 _CORNERS = np.array([[255, 0, 0], [255, 255, 0], [0, 255, 0], [0, 255, 255], [0, 0, 255], [255, 0, 255], [255, 0, 0]], np.float32)
-_HUES = 3600
+_HUE_COUNT = 3600
+"""Colors of the wheel: a tenth of a degree each."""
 _BEYOND_SCALE = 0.75
+"""Factor on the colors of vectors beyond the scale, as in Baker et al. 2011 (Middlebury's color coding of flow)."""
 _OBJECTS = np.array([(255, 128, 0), (0, 190, 255), (255, 60, 160), (120, 220, 40), (180, 110, 255), (255, 220, 0)], np.uint8)
 """Colors of moving objects, by their numbers."""
 """How much displacements beyond the scale are darkened."""
 
-SMALLEST_FLOW_SCALE = 0.5
-"""Pixels. Below this, a clip at rest would show nothing but noise in bright colors."""
+MIN_FLOW_SCALE = 0.5
+"""Pixels. Below this, a clip at rest would show nothing but noise in bright colors. Chosen by eye."""
 
 
 def _wheel() -> np.ndarray:
-    """Return [_HUES, 3] float32 colors between 0 and 1 round the wheel, starting at the right and going down."""
+    """Return [_HUE_COUNT, 3] float32 colors between 0 and 1 round the wheel, starting at the right and going down."""
     places = np.cumsum(_ARCS) / _ARCS.sum()
-    turn = np.arange(_HUES) / _HUES
+    turn = np.arange(_HUE_COUNT) / _HUE_COUNT
     return np.stack([np.interp(turn, places, _CORNERS[:, c]) for c in range(3)], -1).astype(np.float32) / 255
 
 
@@ -41,7 +43,7 @@ def float_to_bytes(image: np.ndarray) -> np.ndarray:
 
 def flow_scale(flows: Iterable[np.ndarray]) -> float:
     """Pixels: a scale under which nearly all of the given flows [H, W, 2] keep their full color."""
-    scale = SMALLEST_FLOW_SCALE
+    scale = MIN_FLOW_SCALE
     for flow in flows:
         length = np.linalg.norm(flow, axis=-1)
         length = length[np.isfinite(length)]
@@ -65,9 +67,9 @@ def flow_to_color(flow: np.ndarray, scale: float | None = None) -> np.ndarray:
         x, y = np.where(lost, 0, x), np.where(lost, 0, y)
     length = np.sqrt(x * x + y * y)
     length /= np.float32(flow_scale([flow]) if scale is None else scale)
-    hue = (np.arctan2(y, x) * np.float32(_HUES / (2 * np.pi))).astype(np.int32)
-    hue[hue < 0] += _HUES
-    hue[hue >= _HUES] = 0
+    hue = (np.arctan2(y, x) * np.float32(_HUE_COUNT / (2 * np.pi))).astype(np.int32)
+    hue[hue < 0] += _HUE_COUNT
+    hue[hue >= _HUE_COUNT] = 0
     color = _WHEEL.take(hue, 0)
     far = length > 1
     beyond = _BEYOND_SCALE * color[far]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import struct
 
-MOST_PIXELS = 55_000_000
-"""Of one image; at 16 bits a channel they take 315 MiB."""
+MAX_PIXELS = 55_000_000
+"""Of one image; at 16 bits a channel they take 315 MiB. Chosen by eye."""
 
 _START_OF_FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 _STANDALONE = {0x01, *range(0xD0, 0xD9)}

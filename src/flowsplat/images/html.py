@@ -15,9 +15,9 @@ from markupsafe import Markup, escape
 from flowsplat.images.colors import float_to_bytes
 
 MAX_IMAGE_WIDTH = 960
-"""Pixels of an image in a page."""
-THUMBNAIL = 320
-"""Pixels of an image in a notebook."""
+"""Pixels of an image in a page. Chosen by eye."""
+THUMBNAIL_WIDTH = 320
+"""Pixels of an image in a notebook. Chosen by eye."""
 NOTHING = "–"
 """What stands in place of a figure that was not measured."""
 
@@ -57,7 +57,9 @@ def image_tag(image: np.ndarray, description: str, quality: int | None = 88) -> 
 def format_facts(title: str, facts: Mapping[str, str], image: np.ndarray | None) -> str:
     """Return what a notebook shows of something: its name, an image, and a table of what is known of it, by name."""
     rows = Markup().join(Markup("<tr><td>{}</td><td>{}</td></tr>").format(*fact) for fact in facts.items())
-    shown = Markup() if image is None else Markup('<img alt="" src="{}"><br>').format(data_uri(shrink_to_page(image, THUMBNAIL)))
+    shown = (
+        Markup() if image is None else Markup('<img alt="" src="{}"><br>').format(data_uri(shrink_to_page(image, THUMBNAIL_WIDTH)))
+    )
     return str(Markup("<div><b>{}</b><br>{}<table>{}</table></div>").format(title, shown, rows))
 
 

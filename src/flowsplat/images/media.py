@@ -13,7 +13,7 @@ from av.container import InputContainer
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import ordinary_file
-from flowsplat.images.header import MOST_PIXELS
+from flowsplat.images.header import MAX_PIXELS
 
 _LISTS = {"hls", "dash", "concat", "concatf", "imf", "rtsp", "sdp", "image2"}
 """Formats that consist of other files."""
@@ -35,12 +35,12 @@ def open_media(path: Path) -> InputContainer:
         context = stream.codec_context
         if context is None:  # of a kind that is not known
             continue
-        if context.width * context.height > MOST_PIXELS:
+        if context.width * context.height > MAX_PIXELS:
             container.close()
             raise InputError(
                 f"{path} has {context.width:,} x {context.height:,} pixels, "
-                f"more than the {MOST_PIXELS / 1e6:g} million that are read."
+                f"more than the {MAX_PIXELS / 1e6:g} million that are read."
             )
         # Frames may have another size than they are said to have.
-        context.options = {**context.options, "max_pixels": str(MOST_PIXELS)}
+        context.options = {**context.options, "max_pixels": str(MAX_PIXELS)}
     return container

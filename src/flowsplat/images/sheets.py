@@ -10,13 +10,14 @@ import numpy as np
 from flowsplat.images.colors import error_to_color, float_to_bytes
 
 GAP_PIXELS = 4
-"""Pixels between two images."""
+"""Pixels between two images. Chosen by eye."""
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-_RULER = 26
-"""Pixels of a ruler beside an image."""
-_TICK_ROOM = 40
-"""Pixels between two numbers of a ruler, at least."""
-_STEPS = (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
+_RULER_WIDTH = 26
+"""Pixels of a ruler beside an image. Chosen by eye."""
+_MIN_TICK_SPACING = 40
+"""Pixels between two numbers of a ruler, at least. Chosen by eye."""
+_TICK_STEPS = (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
+"""Pixels between two numbers of a ruler: the smallest that leaves ``_MIN_TICK_SPACING``."""
 
 
 def side_by_side(images: Sequence[np.ndarray], labels: Sequence[str] = (), height: int | None = None) -> np.ndarray:
@@ -52,15 +53,15 @@ def with_rulers(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         size: (width, height) in the pixels that the rulers count; their origin is the outer corner of the first pixel.
     """
     height, width = image.shape[:2]
-    step = next(step for step in _STEPS if step >= _TICK_ROOM * size[0] / width)
-    sheet = np.full((height + _RULER, width + _RULER, 3), 255, np.uint8)
-    sheet[_RULER:, _RULER:] = image
+    step = next(step for step in _TICK_STEPS if step >= _MIN_TICK_SPACING * size[0] / width)
+    sheet = np.full((height + _RULER_WIDTH, width + _RULER_WIDTH, 3), 255, np.uint8)
+    sheet[_RULER_WIDTH:, _RULER_WIDTH:] = image
     for across, (length, count) in ((True, (width, size[0])), (False, (height, size[1]))):
         for value in range(0, count, step // 5):
-            at = _RULER + round(value * length / count)
+            at = _RULER_WIDTH + round(value * length / count)
             whole = value % step == 0
-            tick = _RULER - (8 if whole else 4)
-            along = slice(tick, _RULER)
+            tick = _RULER_WIDTH - (8 if whole else 4)
+            along = slice(tick, _RULER_WIDTH)
             sheet[(along, at) if across else (at, along)] = 90
             if whole:
                 place = (at + 2, 12) if across else (0, at + 10)

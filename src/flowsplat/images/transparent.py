@@ -14,9 +14,10 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import atomic_path
 
-_BT709, _LIMITED, _FULL = 1, 1, 2  # as in ``images.video``
+_BT709, _LIMITED, _FULL = 1, 1, 2
+"""As in ``images.video``."""
 _CRF = 24
-"""VP9's constant quality, lower is better and larger."""
+"""VP9's constant quality, lower is better and larger. Chosen by eye."""
 _REPRODUCIBLE = {"fflags": "+bitexact"}
 """Without a random number as the name of the file in it: the same images make the same file."""
 

@@ -20,8 +20,8 @@ from flowsplat.common.files import atomic_path
 from flowsplat.common.progress import report
 from flowsplat.images.media import open_media
 
-SLOWEST, FASTEST = 0.1, 1000.0
-"""Frames a second that can be written."""
+MIN_FPS, MAX_FPS = 0.1, 1000.0
+"""Frames a second that can be written. Chosen by eye."""
 
 PRESET, CRF = "veryfast", 15
 """Of x264. Half the time of its own, medium and 18, for frames that are as close to what they show (39.5 dB instead of 39.8 on one
@@ -30,12 +30,16 @@ clip), and a third more bytes."""
 # https://www.itu.int/rec/T-REC-H.273: code point 1 is BT.709 for primaries, transfer and matrix. FFmpeg numbers the
 # ranges 1 = limited ("MPEG") and 2 = full ("JPEG"), and its RGB matrix is 0.
 _BT709 = 1
+"""FFmpeg's number of the BT.709 color space."""
 _LIMITED, _FULL = 1, 2
+"""FFmpeg's numbers of color ranges: limited (16 to 235) and full (0 to 255)."""
 
 # Sample rates that AAC knows and every player takes; other sources are resampled to the last one.
 SOUND_RATES = (22050, 24000, 32000, 44100, 48000)
+"""Samples a second that are kept as they are; other sound becomes the last of them."""
 # Decoders need a few packets before the wanted sample to come up to speed after a seek.
 _AUDIO_PREROLL = 0.2
+"""Seconds by which sound may begin too early without being cut. Chosen by eye."""
 
 
 def write_mp4(path: Path, frames: Iterable[np.ndarray], fps: float, *, crf: int = 18) -> None:

@@ -28,11 +28,11 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, write_json
 from flowsplat.geometry import Camera
-from flowsplat.images.video import FASTEST, SLOWEST
+from flowsplat.images.video import MAX_FPS, MIN_FPS
 from flowsplat.scenes.formats.nerfstudio import from_opengl, image_size, positive, transforms_camera
 
 MAX_SIDE = 8192
-"""Pixels of width or height; beyond that it is a slip and not a wish."""
+"""Pixels of width or height; beyond that it is a slip and not a wish. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,8 @@ def read_camera_file(path: str | Path, size: tuple[int, int], clip: tuple[float,
         if len({(camera.width, camera.height) for camera, _ in found}) > 1:
             raise InputError("its cameras differ in width or height, a video needs one size")
         fps = None if content.get("fps") is None else positive(content["fps"], "fps")
-        if fps is not None and not SLOWEST <= fps <= FASTEST:
-            raise InputError(f"its fps is {fps:g}: only {SLOWEST:g} to {FASTEST:g} can be written")
+        if fps is not None and not MIN_FPS <= fps <= MAX_FPS:
+            raise InputError(f"its fps is {fps:g}: only {MIN_FPS:g} to {MAX_FPS:g} can be written")
         seconds = _seconds([time for _, time in found], clip, is_relative)
     except (InputError, ValueError, ArithmeticError) as error:
         raise InputError(f"{path} cannot be used as a camera path: {error}.") from error

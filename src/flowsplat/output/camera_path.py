@@ -12,16 +12,17 @@ from flowsplat.common.spread import spread
 from flowsplat.geometry import Camera
 
 _WIDTH, _HEIGHT, _DRAWING_MARGIN = 640, 400, 26
+"""Size of the drawing and the margin around it, pixels. Chosen by eye."""
 _MAX_FRUSTA = 10
-"""Cameras that are drawn with what they see; the line of the path has all of them."""
+"""Cameras that are drawn with what they see; the line of the path has all of them. Chosen by eye."""
 _FRUSTUM_LENGTH = 0.22
-"""Length of a frustum over the extent of the drawing."""
-_DOT = 2.2
-"""Pixels of the side of a scene point."""
-_ALONE = 1.0
-"""Extent of the drawing of cameras that all stand in one place."""
+"""Length of a frustum over the extent of the drawing. Chosen by eye."""
+_POINT_SIZE = 2.2
+"""Pixels of the side of a scene point. Chosen by eye."""
+_SINGLE_PLACE_EXTENT = 1.0
+"""Extent of the drawing of cameras that all stand in one place. Chosen by eye."""
 _YAW, _PITCH = np.radians(32.0), np.radians(28.0)
-"""Under which the path is seen at an angle: from behind, a little from the right and from above."""
+"""Under which the path is seen at an angle: from behind, a little from the right and from above. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ def _level_axes(cameras: Sequence[Camera]) -> np.ndarray:
 
 def _extent(places: np.ndarray) -> float:
     extent = float(np.ptp(places, axis=0).max())
-    return extent if extent > 1e-9 else _ALONE
+    return extent if extent > 1e-9 else _SINGLE_PLACE_EXTENT
 
 
 def _some(cameras: Sequence[Camera]) -> list[Camera]:
@@ -132,9 +133,9 @@ class _Page:
         return bool(0 <= x <= _WIDTH and 0 <= y <= _HEIGHT)
 
     def dot(self, place: np.ndarray, color: np.ndarray) -> Markup:
-        x, y = self.place(place) - _DOT / 2
+        x, y = self.place(place) - _POINT_SIZE / 2
         fill = "#" + "".join(f"{int(c):02x}" for c in color)
-        return Markup('<rect x="{:.0f}" y="{:.0f}" width="{}" height="{}" fill="{}"/>').format(x, y, _DOT, _DOT, fill)
+        return Markup('<rect x="{:.0f}" y="{:.0f}" width="{}" height="{}" fill="{}"/>').format(x, y, _POINT_SIZE, _POINT_SIZE, fill)
 
     def object_path(self, obj: ObjectPath, axes: np.ndarray) -> Markup:
         """Return the path of an object with its band, its number where it begins."""

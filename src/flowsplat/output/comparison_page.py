@@ -15,14 +15,14 @@ from flowsplat.images.html import NOTHING, image_tag, shrink_to_page, table
 from flowsplat.output.page import POLICY, script_policy, write_page
 from flowsplat.output.report import Comparison, video_title
 
-MOST_VIDEO = 256 * 2**20
-"""Bytes of a video; those of a run at the usual size have 5 to 20 MiB."""
+MAX_VIDEO_BYTES = 256 * 2**20
+"""Bytes of a video; those of a run at the usual size have 5 to 20 MiB. Chosen by eye."""
 
 _TYPES = {".mp4": "video/mp4", ".webm": "video/webm"}
 """What a page can play; an animated image cannot be paused."""
 
 _SHOWN_IMAGES = 2
-"""Held-out images of each kind."""
+"""Held-out images of each kind. Chosen by eye."""
 
 SCRIPT = """
 const chosen = document.getElementById('path'), play = document.getElementById('play'), bar = document.getElementById('bar');
@@ -192,7 +192,7 @@ def _can_be_shown(file: Path) -> bool:
 
 
 def _address(file: Path) -> str:
-    return f"data:{_TYPES[file.suffix]};base64,{base64.b64encode(read_bytes(file, MOST_VIDEO)).decode()}"
+    return f"data:{_TYPES[file.suffix]};base64,{base64.b64encode(read_bytes(file, MAX_VIDEO_BYTES)).decode()}"
 
 
 def _figures_table(labels: Sequence[str], figures: Sequence[ComparedFigure]) -> Markup:

@@ -31,24 +31,25 @@ from flowsplat.priors.objects.areas import describe_count, large_objects
 from flowsplat.priors.objects.description import ObjectDescription, describe_objects, sureness
 from flowsplat.scenes import Scene, Tracks
 
-PANEL = 400
-"""Pixels of the longer side of an image in the strip."""
-STRIP_FRAMES = 100
-"""Frames of the strip, at most."""
+PANEL_SIDE = 400
+"""Pixels of the longer side of an image in the strip. Chosen by eye."""
+MAX_STRIP_FRAMES = 100
+"""Frames of the strip, at most. Chosen by eye."""
 STRIP_CRF = 30
-"""Quality of the strip: it is to show what was found, not to be beautiful."""
-STILLS = 4
-"""Frames that are shown in images, too."""
-TAIL, MOST_TRACKS = 6, 240
-"""Training frames that a track is drawn over, and how many tracks are drawn."""
+"""Quality of the strip: it is to show what was found, not to be beautiful. Chosen by eye."""
+STILL_FRAMES = 4
+"""Frames that are shown in images, too. Chosen by eye."""
+TRACK_TAIL, MAX_TRACKS = 6, 240
+"""Training frames that a track is drawn over, and how many tracks are drawn. Chosen by eye."""
 SCENE_POINTS = 1500
-"""Points of the scene in the drawing of the path."""
-THUMBNAIL = 160
-"""Pixels of the longer side of the image of an object."""
-MOST_PIECES = 3
-"""Pieces of a clip with cuts whose paths are drawn."""
+"""Points of the scene in the drawing of the path. Chosen by eye."""
+THUMBNAIL_SIDE = 160
+"""Pixels of the longer side of the image of an object. Chosen by eye."""
+MAX_PIECES = 3
+"""Pieces of a clip with cuts whose paths are drawn. Chosen by eye."""
 
 _STATIC_TRACK, _MOVING_TRACK = (80, 220, 255), (255, 140, 0)
+"""Red, green and blue of tracks on what rests and on what moves. Chosen by eye."""
 
 
 def write_priors_report(folder: Path, scene: Scene, seconds: Mapping[str, float]) -> Path:
@@ -73,7 +74,7 @@ def write_priors_report(folder: Path, scene: Scene, seconds: Mapping[str, float]
         paths=list(_paths(scene, objects)),
         objects=list(_objects(scene, objects)),
         stages=table(("", "how", "verdict", "time"), list(_rows(scene, seconds))),
-        stills=[_still(shown, k) for k in spread(len(shown.frames), STILLS)],
+        stills=[_still(shown, k) for k in spread(len(shown.frames), STILL_FRAMES)],
         legend=image_tag(flow_legend(), "The color of every direction of flow", None),
         flow_scale=f"{shown.flow_scale:.1f}",
         charts=list(_charts(scene, shown)),
@@ -237,7 +238,7 @@ class _Shown:
 
     def __init__(self, scene: Scene):
         train = scene.train_frames
-        stride = -(-len(train) // STRIP_FRAMES)
+        stride = -(-len(train) // MAX_STRIP_FRAMES)
         self.frames = train[::stride]
         span = float(scene.timestamps[self.frames[-1]] - scene.timestamps[self.frames[0]])
         self.rate = float(np.clip((len(self.frames) - 1) / max(span, 1e-6), 2, 30))
@@ -245,7 +246,7 @@ class _Shown:
         self._depth_name = "depth (a guess)" if guessed else "depth"
         self._tracks = scene.tracks if scene.has_tracks else None
         self._train, self._pairs = train, set(scene.flow_pairs)
-        scale = min(1.0, PANEL / max(scene.width, scene.height))
+        scale = min(1.0, PANEL_SIDE / max(scene.width, scene.height))
         self.size = (max(2, round(scene.width * scale)), max(2, round(scene.height * scale)))
         self._scale = np.array(self.size) / [scene.width, scene.height]
         self.matched: list[float] = []
@@ -308,8 +309,8 @@ class _Shown:
     def _tails(self, tracks: Tracks, frame: int, moving: bool) -> Iterator[np.ndarray]:
         here = np.flatnonzero(tracks.visible[:, frame] & (tracks.moving == moving))
         until = self._train.index(frame) + 1
-        last = np.array(self._train[max(0, until - TAIL) : until])
-        for n in here[:: max(1, -(-len(here) // (MOST_TRACKS // 2)))]:
+        last = np.array(self._train[max(0, until - TRACK_TAIL) : until])
+        for n in here[:: max(1, -(-len(here) // (MAX_TRACKS // 2)))]:
             yield tracks.points[n, last[tracks.visible[n, last]]]
 
 
@@ -345,7 +346,7 @@ def _paths(scene: Scene, objects: SceneObjects) -> Iterator[dict[str, Any]]:
     """Drawings of the path of every piece of the clip."""
     starts = [0, *(scene.prior("cameras") or {}).get("breaks", [])]
     ends = [*starts[1:], scene.num_frames]
-    for start, end in list(zip(starts, ends, strict=True))[:MOST_PIECES]:
+    for start, end in list(zip(starts, ends, strict=True))[:MAX_PIECES]:
         cameras = scene.cameras[start:end]
         points, colors = _scene_points(scene, [i for i in scene.train_frames if start <= i < end])
         centers = np.array([camera.center for camera in cameras])
@@ -418,7 +419,7 @@ def _show_object(scene: Scene, i: int, number: int) -> np.ndarray:
     gray = np.repeat(image.mean(-1, keepdims=True) * 0.6, 3, -1)
     cut = np.where(own[..., None] > 0, image, gray).astype(np.uint8)
     cv2.drawContours(cut, cv2.findContours(own, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0], -1, object_color(number), 1)
-    scale = min(1.0, THUMBNAIL / max(cut.shape[:2]))
+    scale = min(1.0, THUMBNAIL_SIDE / max(cut.shape[:2]))
     return _small(cut, (max(1, round(cut.shape[1] * scale)), max(1, round(cut.shape[0] * scale))))
 
 

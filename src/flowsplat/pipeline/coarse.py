@@ -35,32 +35,33 @@ from flowsplat.training.trainer import Trainer
 
 STAGE = "coarse"
 """The stage that makes it."""
-FRAMES = 24
-"""Frames that it is made from, at most."""
+MAX_FRAMES = 24
+"""Frames that it is made from, at most. Chosen by eye."""
 MAX_FRAME_SECONDS = 0.2
 """Seconds between two of them at most, unless the run's own are farther apart: motion has to be followed. Of a longer clip they
-show the beginning."""
+show the beginning. Chosen by eye."""
 LONG_SIDE = 284
-"""Pixels of their long side."""
-STEPS = 200
-SECONDS = 30.0
+"""Pixels of their long side. Chosen by eye."""
+COARSE_STEPS = 200
+"""Training steps of the coarse scene. Chosen by eye."""
+REFERENCE_SECONDS = 30.0
 """What it takes on the reference machine, two cores, with a margin."""
 MAX_RUN_SHARE = 0.08
-"""Of a whole run, which it may take at most: a shorter run has something to show soon enough."""
+"""Of a whole run, which it may take at most: a shorter run has something to show soon enough. Chosen by eye."""
 VIDEOS = RenderOptions(paths=("input", "orbit"), width=427, max_frames=48)
 
 
 def is_worth_it(whole: float) -> bool:
     """Return whether a run that takes ``whole`` seconds on the reference machine begins with it."""
-    return MAX_RUN_SHARE * whole >= SECONDS
+    return MAX_RUN_SHARE * whole >= REFERENCE_SECONDS
 
 
 def choose_frames(timestamps: np.ndarray, train: Sequence[int]) -> list[int]:
     """Return frames that the coarse scene is made from: evenly over the training frames of the clip, or over its beginning."""
     times = timestamps[list(train)]
-    over_all = -(-len(train) // FRAMES)
+    over_all = -(-len(train) // MAX_FRAMES)
     followed = int(MAX_FRAME_SECONDS / float(np.median(np.diff(times))) + 1e-6)
-    return list(train)[:: max(1, min(over_all, followed))][:FRAMES]
+    return list(train)[:: max(1, min(over_all, followed))][:MAX_FRAMES]
 
 
 @dataclass(kw_only=True)
@@ -100,8 +101,8 @@ def coarse_settings() -> TrainConfig:
     """Return how it is trained."""
     ours = PRESETS["default"]
     return replace(
-        ours, iterations=STEPS, checkpoint_every=0, preview_every=0,
-        density=replace(ours.density, every=STEPS // 3, start=STEPS // 3),
+        ours, iterations=COARSE_STEPS, checkpoint_every=0, preview_every=0,
+        density=replace(ours.density, every=COARSE_STEPS // 3, start=COARSE_STEPS // 3),
     )  # fmt: skip
 
 
@@ -112,7 +113,7 @@ def coarse_scene(folder: RunFolder, clip: Clip) -> None:
     """
     where = folder.coarse
     settings = coarse_settings()
-    key = stage_key(folder.fingerprint, FRAMES, MAX_FRAME_SECONDS, LONG_SIDE, settings)
+    key = stage_key(folder.fingerprint, MAX_FRAMES, MAX_FRAME_SECONDS, LONG_SIDE, settings)
     with folder.stage(STAGE, key, (where.path,), made=has_model(where.model_path)) as stage:
         if not stage.is_done:
             _make_coarse(folder, stage, clip, where, settings)

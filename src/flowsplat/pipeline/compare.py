@@ -23,8 +23,8 @@ from flowsplat.pipeline.summary import ROWS, comparisons, pick_all
 from flowsplat.scenes import Scene
 
 NAME = "compare.html"
-MOST_RUNS = 12
-"""Runs on one page: each video of each is in it."""
+MAX_RUNS = 12
+"""Runs on one page: each video of each is in it. Chosen by eye."""
 
 
 def compare(*runs: str | Path | Run, out: str | Path | None = None) -> Path:
@@ -49,8 +49,8 @@ def compare(*runs: str | Path | Run, out: str | Path | None = None) -> Path:
         flowsplat.common.errors.InputError: out/clip is named twice: compare different runs.
     """
     folders = [run.folder if isinstance(run, Run) else Path(run) for run in runs]
-    if not 2 <= len(folders) <= MOST_RUNS:
-        raise InputError(f"{len(folders)} run(s) to compare: name 2 to {MOST_RUNS} folders of runs.")
+    if not 2 <= len(folders) <= MAX_RUNS:
+        raise InputError(f"{len(folders)} run(s) to compare: name 2 to {MAX_RUNS} folders of runs.")
     resolved = [folder.resolve() for folder in folders]
     for k, folder in enumerate(resolved):
         if folder in resolved[:k]:

@@ -28,8 +28,8 @@ from flowsplat.common.threads import core_left_to
 from flowsplat.common.user_cache import cache_folder
 
 SIGNATURES = Path(__file__).with_name("signatures.json")
-NICE = 10
-"""By how much the process gives way to the run."""
+NICENESS = 10
+"""By how much the process gives way to the run. Chosen by eye."""
 _COMMAND = "import sys; sys.path[:] = [path for path in sys.path if path]; from flowsplat.pipeline.compiling import main; main()"
 """Without the folder that the process begins in, which Python would search first: what lies beside a clip must not run."""
 
@@ -157,6 +157,6 @@ def note_compiled() -> None:
 def main() -> None:
     """What the process does."""
     with contextlib.suppress(AttributeError, OSError):  # not on Windows
-        os.nice(NICE)
+        os.nice(NICENESS)
     compile_kernels()
     note_compiled()

@@ -25,7 +25,8 @@ from flowsplat.pipeline.summary import next_steps
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import DrawnClip, StreetScene, SyntheticScene, encode_frames, write_synthetic
 
-ITERATIONS = 600
+DEMO_ITERATIONS = 600
+"""Training steps of the demo's run. Chosen by eye."""
 
 World = Literal["street", "floating"]
 """``street``: what people film. ``floating``: three things that float in a room, whose distance no camera can tell."""
@@ -35,7 +36,7 @@ SCENE_WORDS: dict[World, str] = {
     "floating": "a room where three things float, how far away nobody can tell",
 }
 
-TRUE_ITERATIONS: dict[World, int] = {"street": 300, "floating": ITERATIONS}
+TRUE_ITERATIONS: dict[World, int] = {"street": 300, "floating": DEMO_ITERATIONS}
 """Of the run with true priors. It is there to compare with, and needs half as many to be ahead. The room's stay as they were, so
 that its figures can be compared with those of earlier versions."""
 
@@ -57,7 +58,7 @@ def run_demo(out: Path, width: int = 320, frames: int = 40, world: World = "stre
         )
     write_json(out / "clip.json", record)
     config = RunConfig()
-    config = replace(config, train=replace(config.train, iterations=ITERATIONS))
+    config = replace(config, train=replace(config.train, iterations=DEMO_ITERATIONS))
     with compile_ahead(pick_device(config.device).type) as ahead:
         truth = _draw_clip(out, spec, config)
         report("Running on the video, as on any clip.")

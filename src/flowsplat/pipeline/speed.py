@@ -37,23 +37,24 @@ Ratio = Annotated[float, Meta(gt=0, le=1e6)]
 
 STAGES = ("compiling", "cameras", "priors", "train", "rest")
 """Kernels, in the first run only; search of the cameras; all other priors; training; measuring, final fit and videos."""
-COMPILING = 25.0
+COMPILING_SECONDS = 25.0
 """Seconds by which a run is longer on the reference machine when all its kernels have to be compiled beside it."""
 
 MIN_STAGE_SECONDS, MIN_OWN_SECONDS = 10.0, 2.0
-"""Seconds from which the time of a stage tells something of other runs, and of the one that goes on."""
+"""Seconds from which the time of a stage tells something of other runs, and of the one that goes on. Chosen by eye."""
 KEPT_RUNS = 5
-"""Runs whose times are remembered."""
+"""Runs whose times are remembered. Chosen by eye."""
 UNTRIED_FACTOR = 1.8
-"""A test of two seconds leaves open by what factor a run takes longer, or shorter, than it says."""
+"""A test of two seconds leaves open by what factor a run takes longer, or shorter, than it says. Chosen by eye."""
 UNTRIED_GPU_FACTOR = 4.0
-"""The same on a GPU, which it does not test."""
+"""The same on a GPU, which it does not test. Chosen by eye."""
 ESTIMATE_FACTOR = 1.35
-"""The same where something tells: earlier runs, or the first stage of this one. Clips that are as large differ by as much."""
+"""The same where something tells: earlier runs, or the first stage of this one. Clips that are as large differ by as much.
+Chosen by eye."""
 COMMIT_SECONDS = 60.0
-"""Seconds of a run after which an estimate has to commit itself to ``ESTIMATE_FACTOR``."""
+"""Seconds of a run after which an estimate has to commit itself to ``ESTIMATE_FACTOR``. Chosen by eye."""
 MAX_OTHER_LOAD = 0.15
-"""Share of the machine from which on what other programs take makes the time of a stage tell nothing."""
+"""Share of the machine from which on what other programs take makes the time of a stage tell nothing. Chosen by eye."""
 TEST_SECONDS, REFERENCE_ROUND = 2.0, 0.022
 """How long the test is, and the seconds of one round on one core of the reference machine."""
 
@@ -84,7 +85,7 @@ class TimeEstimate:
 def estimate_seconds(scene: Scene, config: RunConfig, compiling: bool = False) -> dict[str, float]:
     """Return seconds of every stage on the reference machine; ``compiling``: with kernels that are not compiled yet."""
     found = _estimate_seconds(config, scene.width, scene.height, len(scene.train_frames), len(scene.heldout_frames))
-    return {"compiling": COMPILING if compiling else 0.0, **found}
+    return {"compiling": COMPILING_SECONDS if compiling else 0.0, **found}
 
 
 def estimate_seconds_of_clip(clip: Clip, config: RunConfig) -> dict[str, float]:

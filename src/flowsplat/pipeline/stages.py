@@ -38,7 +38,8 @@ from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import Clip
 from flowsplat.training.checkpoint import has_model, load_model
 
-_MOST_HISTORY = 64 * 2**20
+_MAX_HISTORY_BYTES = 64 * 2**20
+"""Bytes of the history of a training, at most. A round number."""
 
 
 def run(source: str | Path, out: str | Path, config: RunConfig | None = None) -> dict[str, Any]:
@@ -215,7 +216,7 @@ def read_history(path: Path) -> list[dict[str, float]]:
     Raises:
         InputError: damaged.
     """
-    entries = read_json(path, list[dict[str, Number | None]], _MOST_HISTORY) if path.exists() else []
+    entries = read_json(path, list[dict[str, Number | None]], _MAX_HISTORY_BYTES) if path.exists() else []
     if any(entry.get("step") is None for entry in entries):
         raise InputError(f"{path} is damaged: it has figures of no step.")
     return entries

@@ -24,7 +24,7 @@ from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import read_image
 
 SHOWN_IMAGES = 6
-"""Held-out images of each kind in the report."""
+"""Held-out images of each kind in the report. Chosen by eye."""
 
 SHOWN_NOTE = (
     "Videos, exports and the viewer show the scene after it was fitted to the held-out frames, too (model_all_frames/). Every "

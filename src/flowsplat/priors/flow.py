@@ -15,12 +15,12 @@ from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.continuity import Continuity
 from flowsplat.scenes import Flow, Scene
 
-SMALLEST_SIDE = 64
-"""Pixels. Smaller images are enlarged, because the search needs room for its patches."""
+MIN_SIDE = 64
+"""Pixels. Smaller images are enlarged, because the search needs room for its patches. Chosen by eye."""
 
 FINE_PATCH, FINE_STEP, FINE_DESCENTS, FINE_ROUNDS = 5, 2, 24, 3
 """Of the fine search: side of a patch and distance between patches in pixels, steps of descent for a patch, and rounds of
-variational refinement."""
+variational refinement (docs/method.md, "Flow, masks and depth")."""
 
 
 def gray(image: np.ndarray) -> np.ndarray:
@@ -36,7 +36,7 @@ def dis_flow(a: np.ndarray, b: np.ndarray, initial: np.ndarray | None = None, fi
         fine: search at full instead of half resolution, with smaller patches: half the error, eight times the time.
     """
     height, width = a.shape
-    factor = -(-SMALLEST_SIDE // min(height, width))
+    factor = -(-MIN_SIDE // min(height, width))
     if factor > 1:
         size = (width * factor, height * factor)
         a, b = (cv2.resize(image, size, interpolation=cv2.INTER_LINEAR) for image in (a, b))

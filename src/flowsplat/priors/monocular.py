@@ -24,28 +24,33 @@ from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.background.fill import fill, upsample
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import SURE_WEIGHT, Background, compute_far_inverse
-from flowsplat.priors.depth.stage import FRONT_MARGIN, FURTHEST_DEPTH, NEAREST_DEPTH, TRUSTED_WEIGHT, measure_trusted_shares
+from flowsplat.priors.depth.stage import FRONT_MARGIN, MAX_DEPTH, MIN_DEPTH, TRUSTED_WEIGHT, measure_trusted_shares
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.scenes import Depth, Scene
-from flowsplat.scenes.layers import TRUSTED
+from flowsplat.scenes.layers import TRUSTED_CONFIDENCE
 
 MIN_STATIC_PIXELS = 200
-"""Trusted static working pixels that a frame's own scale and shift need; with fewer it borrows those of its neighbors."""
+"""Trusted static working pixels that a frame's own scale and shift need; with fewer it borrows those of its neighbors.
+Chosen by eye."""
 
-MISFIT = 0.2
-"""Median relative error of the fitted depth at which it is half trusted."""
+HALF_TRUST_MISFIT = 0.2
+"""Median relative error of the fitted depth at which it is half trusted. Chosen by eye."""
 
-WORTH = 100
-"""Independent samples that all pixels of a frame are worth."""
+INDEPENDENT_SAMPLES = 100
+"""Independent samples that all pixels of a frame are worth. Chosen by eye."""
 
-LOOSE_RELATIVE, LOOSE_METRIC = 0.5, 0.05
-"""Shift of the inverse depth to be expected, over its median, where the source does not know infinity and where it does."""
+RELATIVE_SHIFT_SIGMA, METRIC_SHIFT_SIGMA = 0.5, 0.05
+"""Shift of the inverse depth to be expected, over its median, where the source does not know infinity and where it does.
+Chosen by eye."""
 
-MAX_FLAT_RANGE = 0.1
-"""Without parallax: inverse depth of the furthest percent of the clip over its median, where infinity is not known."""
+FURTHEST_INVERSE_RATIO = 0.1
+"""Without parallax: inverse depth of the furthest percent of the clip over its median, where infinity is not known.
+Chosen by eye."""
 
-_SAMPLES = 20_000
-_ROUNDS = 20
+_MAX_FIT_SAMPLES = 20_000
+"""Pixels of a frame that the fit uses, at most, for the time. A round number."""
+_FIT_ROUNDS = 20
+"""Rounds of reweighting of the fit. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,7 @@ def fit_line(x: np.ndarray, y: np.ndarray, weights: np.ndarray, loose: float) ->
     """Scale a > 0 and shift b with y ~ a x + b: Cauchy-weighted least squares, its width the median residual.
 
     The shift is expected to be small: where the values hardly differ (a wall), scale and shift cannot be told apart, and
-    the shift stays near 0. Neighboring pixels err together, so all samples count as ``WORTH`` independent ones.
+    the shift stays near 0. Neighboring pixels err together, so all samples count as ``INDEPENDENT_SAMPLES`` independent ones.
 
     Args:
         x: [N] monocular inverse depths.
@@ -84,9 +89,9 @@ def fit_line(x: np.ndarray, y: np.ndarray, weights: np.ndarray, loose: float) ->
     robust = weights / weights.sum()
     variance = (0.1 * typical) ** 2
     a, b = 0.0, 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(_FIT_ROUNDS):
         xx, xo, xy, oy = ((robust * values).sum() for values in (x * x, x, x * y, y))
-        one = 1 + variance / WORTH / (loose * typical) ** 2
+        one = 1 + variance / INDEPENDENT_SAMPLES / (loose * typical) ** 2
         determinant = xx * one - xo * xo
         if determinant <= 0:
             break
@@ -163,7 +168,7 @@ def _write_measured(maps: _Maps, source: Monocular) -> dict[str, object]:
     """Fit every frame to the static scene that the matches show, and write it."""
     clip = maps.clip
     background = Background(clip, maps.has_masks)
-    lines, misfits = _measure_lines(maps, background, LOOSE_RELATIVE if source.relative else LOOSE_METRIC)
+    lines, misfits = _measure_lines(maps, background, RELATIVE_SHIFT_SIGMA if source.relative else METRIC_SHIFT_SIGMA)
     for k in track(range(len(clip)), "Depth"):
         _write_frame(maps, background, k, lines[k], misfits[k])
     return {
@@ -179,9 +184,9 @@ def _measure_lines(maps: _Maps, background: Background, loose: float) -> tuple[n
     for k in track(range(count), "Fitting depth"):
         measured, weight = background.fill(k)
         inverse, confidence = maps.small(k)
-        chosen = np.flatnonzero((weight > SURE_WEIGHT) & (confidence >= TRUSTED) & (background.mask(k) == 0))
+        chosen = np.flatnonzero((weight > SURE_WEIGHT) & (confidence >= TRUSTED_CONFIDENCE) & (background.mask(k) == 0))
         if len(chosen) >= MIN_STATIC_PIXELS:
-            chosen = chosen[:: -(-len(chosen) // _SAMPLES)]
+            chosen = chosen[:: -(-len(chosen) // _MAX_FIT_SAMPLES)]
             x, y, w = (values.ravel()[chosen] for values in (inverse, measured, np.minimum(weight, 100)))
             # A relative error counts alike, near or far.
             lines[k] = fit_line(x, y, w / y**2, loose)
@@ -191,7 +196,7 @@ def _measure_lines(maps: _Maps, background: Background, loose: float) -> tuple[n
     if len(known) == 0:
         # No frame has enough of its own: the clip's median depth is all that is known.
         middle = np.median([np.median(maps.small(k)[0]) for k in range(0, count, max(1, count // 8))])
-        return np.tile([maps.clip.median / max(float(middle), 1e-9), 0.0], (count, 1)), np.full(count, MISFIT)
+        return np.tile([maps.clip.median / max(float(middle), 1e-9), 0.0], (count, 1)), np.full(count, HALF_TRUST_MISFIT)
     pieces = maps.clip.continuity.pieces
     for lost in np.flatnonzero(~np.isfinite(misfits)).tolist():
         own = known[pieces[known] == pieces[lost]]
@@ -206,12 +211,12 @@ def _write_frame(maps: _Maps, background: Background, k: int, line: np.ndarray, 
     i = scene.train_frames[k]
     frame, moving, size = scene.frame(i), maps.read_objects(k), (scene.width, scene.height)
     inverse, known = maps[k]
-    floor, ceiling = clip.median / FURTHEST_DEPTH, clip.median / NEAREST_DEPTH
+    floor, ceiling = clip.median / MAX_DEPTH, clip.median / MIN_DEPTH
     measured, weight = background.fill(k)
     weight = np.where(background.mask(k) > 0, 0, weight).astype(np.float32)
     plate = upsample(background.plate(k), np.zeros_like(frame), *size)
     behind = np.where(moving, plate, upsample(measured, frame, *size))
-    aligned = np.where(known >= TRUSTED, line[0] * inverse + line[1], behind)
+    aligned = np.where(known >= TRUSTED_CONFIDENCE, line[0] * inverse + line[1], behind)
     aligned = np.clip(aligned, floor, ceiling).astype(np.float32)
     # What is measured bends the monocular depth towards it, and what lies between two measurements bends along.
     small = cv2.resize(aligned, (clip.width, clip.height), interpolation=cv2.INTER_AREA)
@@ -220,7 +225,7 @@ def _write_frame(maps: _Maps, background: Background, k: int, line: np.ndarray, 
     static = np.clip(aligned + upsample(bend, frame, *size), floor, ceiling)
     front = upsample(background.compute_foremost(k), np.zeros_like(frame), *size)
     depth = 1 / np.clip(np.where(moving, np.maximum(aligned, FRONT_MARGIN * front), static), floor, ceiling)
-    own = np.float32(1 / (1 + (misfit / MISFIT) ** 2)) * known
+    own = np.float32(1 / (1 + (misfit / HALF_TRUST_MISFIT) ** 2)) * known
     seen = np.maximum(upsample(weight, np.zeros_like(frame), *size), 0)
     confidence = np.where(moving, own, np.maximum(own, seen / (seen + TRUSTED_WEIGHT)))
     scene.write_depth(i, Depth(depth.astype(np.float32), confidence.astype(np.float32)))
@@ -236,9 +241,9 @@ def _write_free(maps: _Maps, source: Monocular) -> dict[str, object]:
     middle, far = float(np.median(samples)), float(np.percentile(samples, 1))
     shift = 0.0
     if source.relative or far <= 0:
-        shift = (MAX_FLAT_RANGE * middle - far) / (1 - MAX_FLAT_RANGE)
+        shift = (FURTHEST_INVERSE_RATIO * middle - far) / (1 - FURTHEST_INVERSE_RATIO)
     scale = compute_far_inverse(clip) / max(middle + shift, 1e-9)
-    floor, ceiling = scale * (middle + shift) / FURTHEST_DEPTH, scale * (middle + shift) / NEAREST_DEPTH
+    floor, ceiling = scale * (middle + shift) / MAX_DEPTH, scale * (middle + shift) / MIN_DEPTH
     for k, i in enumerate(track(scene.train_frames, "Depth")):
         inverse, known = maps[k]
         aligned = np.clip(scale * (lines[k, 0] * inverse + lines[k, 1] + shift), floor, ceiling)
@@ -265,7 +270,7 @@ def _chain_lines(maps: _Maps, relative: bool) -> np.ndarray:
         flow, confidence = clip.step_flow(k, before)
         landed = (grid + flow).reshape(-1, 2)
         moves_there = sample_map(maps.read_objects_small(before), landed)[:, 0].reshape(confidence.shape)
-        chosen = (maps.read_objects_small(k) == 0) & (moves_there == 0) & (confidence >= TRUSTED)
+        chosen = (maps.read_objects_small(k) == 0) & (moves_there == 0) & (confidence >= TRUSTED_CONFIDENCE)
         lines[k] = lines[before]
         if not clip.continuity.same_piece(k, before):
             # Nothing is known across a cut; what comes after it is as far away as what came before.

@@ -17,20 +17,22 @@ from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.flow import dis_flow, forward_backward_confidence, gray, lengths
 from flowsplat.scenes import Flow, Scene
 
-GOOD = 0.95
-"""Share of the objects' pixels with trusted flow, both ways, from which it is good enough."""
+MIN_TRUSTED_SHARE = 0.95
+"""Share of the objects' pixels with trusted flow, both ways, from which it is good enough (docs/method.md, "Flow, masks and
+depth")."""
 SEARCH_MARGIN = 48
-"""Pixels around the objects of two frames that are searched with them."""
-GRAY = 127
+"""Pixels around the objects of two frames that are searched with them. Chosen by eye."""
+REST_GRAY = 127
 """What rests is painted in it."""
-MOST_UNLIKE = 60.0
-"""Gray levels beyond which it makes no difference how much colors differ."""
+MAX_COLOR_DIFFERENCE = 60.0
+"""Gray levels beyond which it makes no difference how much colors differ. Chosen by eye."""
 OUTSIDE_COST = 20.0
-"""Gray levels that a place outside the masks counts as."""
-RETURN, MOST_RETURNS = 3.0, 4.0
-"""The same of a round trip that misses by its limit (``forward_backward_confidence``), and by how many limits it counts at most."""
+"""Gray levels that a place outside the masks counts as. Chosen by eye."""
+ROUND_TRIP_DIFFERENCE, MAX_ROUND_TRIP_LIMITS = 3.0, 4.0
+"""The same of a round trip that misses by its limit (``forward_backward_confidence``), and by how many limits it counts at most.
+Chosen by eye."""
 WINDOW_SIGMA = 2.0
-"""Standard deviation in pixels of the window over which flows are compared."""
+"""Standard deviation in pixels of the window over which flows are compared (docs/method.md, "Flow, masks and depth")."""
 
 
 def object_flow_stage(scene: Scene) -> None:
@@ -41,7 +43,7 @@ def object_flow_stage(scene: Scene) -> None:
         if not (masks[0].any() and masks[1].any() and continuity.are_joined(k, k + 1)):
             continue
         flows = scene.flow(i, j), scene.flow(j, i)
-        if min(float(flow.trusted[mask].mean()) for flow, mask in zip(flows, masks, strict=True)) >= GOOD:
+        if min(float(flow.trusted[mask].mean()) for flow, mask in zip(flows, masks, strict=True)) >= MIN_TRUSTED_SHARE:
             continue
         better = _search((scene.frame(i), scene.frame(j)), masks, (flows[0].flow, flows[1].flow))
         for flow, found, back, mask in zip(flows, better, better[::-1], masks, strict=True):
@@ -59,7 +61,7 @@ def _search(images: Pair, masks: Pair, flows: Pair) -> Pair:
     rows, columns = (np.flatnonzero((masks[0] | masks[1]).any(axis)) for axis in (1, 0))
     top, left = max(rows[0] - SEARCH_MARGIN, 0), max(columns[0] - SEARCH_MARGIN, 0)
     box = slice(top, rows[-1] + 1 + SEARCH_MARGIN), slice(left, columns[-1] + 1 + SEARCH_MARGIN)
-    a, b = (np.where(mask, gray(image), GRAY).astype(np.uint8)[box] for image, mask in zip(images, masks, strict=True))
+    a, b = (np.where(mask, gray(image), REST_GRAY).astype(np.uint8)[box] for image, mask in zip(images, masks, strict=True))
     # The same box in both frames, so that flows need no shift.
     there = [flow[box] for flow in flows]
     found = [dis_flow(a, b, fine=True), dis_flow(b, a, fine=True)]
@@ -76,9 +78,9 @@ def _search(images: Pair, masks: Pair, flows: Pair) -> Pair:
 
 def _cost(a: np.ndarray, b: np.ndarray, mask_a: np.ndarray, mask_b: np.ndarray, flow: np.ndarray, back: np.ndarray) -> np.ndarray:
     """Return [H, W] what speaks against a flow from ``a`` to ``b`` around each pixel of an object, in gray levels."""
-    unlike = np.minimum(np.abs(a - _warp(b, flow)).mean(-1), MOST_UNLIKE)
+    unlike = np.minimum(np.abs(a - _warp(b, flow)).mean(-1), MAX_COLOR_DIFFERENCE)
     misses = lengths(flow + _warp(back, flow)) / (0.5 + 0.05 * lengths(flow))
-    cost = unlike + OUTSIDE_COST * (1 - _warp(mask_b, flow)) + RETURN * np.minimum(misses, MOST_RETURNS)
+    cost = unlike + OUTSIDE_COST * (1 - _warp(mask_b, flow)) + ROUND_TRIP_DIFFERENCE * np.minimum(misses, MAX_ROUND_TRIP_LIMITS)
     return np.asarray(
         cv2.GaussianBlur(cost * mask_a, (0, 0), WINDOW_SIGMA) / np.maximum(cv2.GaussianBlur(mask_a, (0, 0), WINDOW_SIGMA), 1e-3)
     )

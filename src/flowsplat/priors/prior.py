@@ -21,7 +21,7 @@ from flowsplat.scenes.layers import Layers
 GIVEN, TRUTH = "given", "truth"
 """Methods of priors that were read from the user's files, or are those of a rendered scene."""
 BROUGHT = (GIVEN, TRUTH, CALIBRATED)
-"""Methods of priors that were not computed."""
+"""Methods of priors that were not computed. Chosen by eye."""
 
 Stage = Callable[[], None]
 

@@ -23,17 +23,18 @@ from flowsplat.scenes.scene import HeldoutView
 
 LONG_SIDE = 854
 """Pixels of the long side to which larger input is brought unless the user says otherwise (DAVIS 480p)."""
-SHORTEST_SIDE = 32
-"""Pixels below which neither flow nor cameras can be estimated."""
-LONGEST_SIDE = 8192
-"""Pixels of a frame, and the most that can be asked for."""
-MOST_FRAMES = 100_000
+MIN_SIDE = 32
+"""Pixels below which neither flow nor cameras can be estimated. Chosen by eye."""
+MAX_SIDE = 8192
+"""Pixels of a frame, and the most that can be asked for. Chosen by eye."""
+MAX_FRAMES = 100_000
 """Their files are numbered with five digits."""
-FEWEST_FPS, MOST_FPS = 0.01, 1000.0
-"""Frames a second that a clip may be said to have."""
-LARGEST_NUMBER = 10_000_000
-WIDEST_STEP = 0.5
-"""Seconds between two kept frames above which the user is told that the motion will hardly be followed."""
+MIN_FPS, MAX_FPS = 0.01, 1000.0
+"""Frames a second that a clip may be said to have. Chosen by eye."""
+MAX_NUMBER = 10_000_000
+"""The largest number that an option on frames takes. A round number."""
+MAX_FRAME_INTERVAL = 0.5
+"""Seconds between two kept frames above which the user is told that the motion will hardly be followed. Chosen by eye."""
 
 
 @bounds_in_help
@@ -45,17 +46,17 @@ class InputOptions:
     """First second of the input to use; the default is its beginning."""
     end: Annotated[float | None, Meta(gt=0)] = None
     """Last second of the input to use; the default is its end."""
-    every: Annotated[int | None, Meta(ge=1, le=LARGEST_NUMBER)] = None
+    every: Annotated[int | None, Meta(ge=1, le=MAX_NUMBER)] = None
     """Use one frame in so many; the default is the smallest number that leaves at most max_frames frames."""
-    max_frames: Annotated[int, Meta(ge=2, le=MOST_FRAMES)] = 100
+    max_frames: Annotated[int, Meta(ge=2, le=MAX_FRAMES)] = 100
     """Use at most so many frames."""
-    resize: Annotated[int | None, Meta(ge=0, le=LONGEST_SIDE)] = None
+    resize: Annotated[int | None, Meta(ge=0, le=MAX_SIDE)] = None
     """Long side of the frames in pixels, 0 to keep their size; the default is at most 854. Frames are never enlarged."""
-    holdout: Annotated[int | None, Meta(ge=2, le=LARGEST_NUMBER)] = 10
+    holdout: Annotated[int | None, Meta(ge=2, le=MAX_NUMBER)] = 10
     """Hold one frame in so many out of training, to measure with; none trains on all. Input with held-out cameras trains on all."""
     sequence: str | None = None
     """Name of the sequence, where the input is the root folder of the DAVIS data set."""
-    fps: Annotated[float, Meta(ge=FEWEST_FPS, le=MOST_FPS)] = 24.0
+    fps: Annotated[float, Meta(ge=MIN_FPS, le=MAX_FPS)] = 24.0
     """Frames a second of a folder of images."""
 
     def check(self) -> None:
@@ -67,10 +68,8 @@ class InputOptions:
         check_bounds(self, "--")
         if self.end is not None and self.end <= (self.start or 0):
             raise InputError(f"--end {self.end:g} must be later than --start.")
-        if self.resize is not None and 0 < self.resize < SHORTEST_SIDE:
-            raise InputError(
-                f"--resize {self.resize} must be 0 (keep the size) or from {SHORTEST_SIDE} to {LONGEST_SIDE:,} pixels."
-            )
+        if self.resize is not None and 0 < self.resize < MIN_SIDE:
+            raise InputError(f"--resize {self.resize} must be 0 (keep the size) or from {MIN_SIDE} to {MAX_SIDE:,} pixels.")
 
 
 @dataclass(frozen=True)
@@ -127,7 +126,7 @@ def select_frames(seconds: np.ndarray, options: InputOptions, source: str) -> Se
             "at least two frames: change --start, --end or --every."
         )
     widest = float(np.diff(elapsed[numbers]).max())
-    if widest > WIDEST_STEP:
+    if widest > MAX_FRAME_INTERVAL:
         notes.append(
             f"Kept frames are up to {widest:.1f} seconds apart, which is wide for following motion: "
             "choose a shorter piece with --start and --end."
@@ -144,9 +143,9 @@ def choose_working_size(width: int, height: int, options: InputOptions, source: 
     long_side = LONG_SIDE if options.resize is None else options.resize
     scale = min(1.0, long_side / max(width, height)) if long_side else 1.0
     size = max(1, round(width * scale)), max(1, round(height * scale))
-    if min(size) < SHORTEST_SIDE:
+    if min(size) < MIN_SIDE:
         raise InputError(
-            f"{source}: frames of {size[0]}x{size[1]} pixels are too small: both sides must have {SHORTEST_SIDE} pixels or more."
+            f"{source}: frames of {size[0]}x{size[1]} pixels are too small: both sides must have {MIN_SIDE} pixels or more."
         )
     if size == (width, height):
         return size, []

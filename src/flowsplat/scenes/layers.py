@@ -29,16 +29,18 @@ from flowsplat.common.files import atomic_path, read_bytes, read_json, read_npz,
 from flowsplat.common.files.json_file import Pixels, Row3, Row4
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import MAX_COORDINATE
-from flowsplat.images.header import MOST_PIXELS, can_hold, image_pixels
+from flowsplat.images.header import MAX_PIXELS, can_hold, image_pixels
 
 FLOW_UNIT = 64
-TRUSTED = 0.5
-_MOST_IMAGE = 512 * 2**20
-"""Bytes of the file of an image."""
+"""Steps of stored flow in a pixel."""
+TRUSTED_CONFIDENCE = 0.5
+"""Confidence from which a pixel of a layer counts as known: the middle of its range."""
+_MAX_IMAGE_BYTES = 512 * 2**20
+"""Bytes of the file of an image. Chosen by eye."""
 _MAX_BYTES_PER_PIXEL = 32
-"""Bytes of the arrays of a layer for every pixel."""
-_MOST_TRACKS = 160 * 2**20
-"""Bytes."""
+"""Bytes of the arrays of a layer for every pixel. Chosen by eye."""
+_MAX_TRACKS_BYTES = 160 * 2**20
+"""Bytes. Chosen by eye."""
 _SILENCE = threading.Lock()
 
 
@@ -52,7 +54,7 @@ class Depth:
     @property
     def trusted(self) -> np.ndarray:
         """[H, W] bool."""
-        return self.confidence >= TRUSTED
+        return self.confidence >= TRUSTED_CONFIDENCE
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ class Flow:
     @property
     def trusted(self) -> np.ndarray:
         """[H, W] bool."""
-        return self.confidence >= TRUSTED
+        return self.confidence >= TRUSTED_CONFIDENCE
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ class StoredFlow:
     @property
     def trusted(self) -> np.ndarray:
         """[H, W] bool."""
-        return self.certainty >= TRUSTED * 255
+        return self.certainty >= TRUSTED_CONFIDENCE * 255
 
 
 @dataclass(frozen=True)
@@ -165,14 +167,14 @@ def decode_image(path: Path, flags: int, expected: tuple[int, int] | None = None
     """
     if not os.path.lexists(path):
         return None
-    data = read_bytes(path, _MOST_IMAGE)
+    data = read_bytes(path, _MAX_IMAGE_BYTES)
     size = image_pixels(data)
     if size is None or min(size) < 1:
         return None
     if expected is not None and size != expected:
         raise InputError(f"{path} has {size[0]:,} x {size[1]:,} pixels, expected {expected[0]:,} x {expected[1]:,}.")
-    if size[0] * size[1] > MOST_PIXELS:
-        raise InputError(f"{path} has {size[0]:,} x {size[1]:,} pixels, more than the {MOST_PIXELS / 1e6:g} million that are read.")
+    if size[0] * size[1] > MAX_PIXELS:
+        raise InputError(f"{path} has {size[0]:,} x {size[1]:,} pixels, more than the {MAX_PIXELS / 1e6:g} million that are read.")
     if not can_hold(data, size):
         return None
     logging = cv2.utils.logging
@@ -357,7 +359,7 @@ class Layers:
             InputError: missing or damaged.
         """
         path = self.folder / "tracks.npz"
-        arrays = read_npz(path, ("points", "visible", "confidence", "moving"), _MOST_TRACKS)
+        arrays = read_npz(path, ("points", "visible", "confidence", "moving"), _MAX_TRACKS_BYTES)
         for name in ("points", "visible", "confidence", "moving"):
             if name not in arrays:
                 raise InputError(f"{path} has no {name!r}.")

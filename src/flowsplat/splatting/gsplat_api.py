@@ -23,10 +23,12 @@ from flowsplat.splatting.rules import EPS2D, FAR_PLANE, NEAR_PLANE
 
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 MAX_DEGREE = 3
+"""Of spherical harmonics."""
 _GEOMETRY = ("means2d", "conics", "depths", "radii")
 """Of a projection, what is in meta."""
 # Below this the compensated opacity is under 1/255 whatever it was: nothing is drawn, and a root has no slope at 0.
 _MIN_RATIO = 1e-8
+"""Ratio of determinants, at least, so that its root has a gradient. Chosen by eye."""
 
 
 def rasterization(

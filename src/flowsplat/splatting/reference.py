@@ -13,7 +13,8 @@ from flowsplat.geometry.projection import camera_jacobian, to_camera
 from flowsplat.geometry.rotations import covariances
 from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, OPACITY_FLOOR, RADIUS_MAX, TRANSMITTANCE_MIN
 
-STRIP = 8  # rows blended at a time, so that the matrices fit a cache
+STRIP_ROWS = 8
+"""Rows blended at a time, so that the matrices fit a cache."""
 
 
 def project(
@@ -84,10 +85,10 @@ def blend(
     top, bottom = ((means2d[order, 1].detach() + sign * radii[order, 1]) for sign in (-1, 1))
     strips = [
         _blend_rows(
-            means2d, conics, opacities, features, order[(bottom > row) & (top < row + STRIP)], width,
-            torch.arange(row, min(row + STRIP, height)), absolute,
+            means2d, conics, opacities, features, order[(bottom > row) & (top < row + STRIP_ROWS)], width,
+            torch.arange(row, min(row + STRIP_ROWS, height)), absolute,
         )
-        for row in range(0, height, STRIP)
+        for row in range(0, height, STRIP_ROWS)
     ]  # fmt: skip
     images, alphas = zip(*strips, strict=True)
     return torch.cat(images), torch.cat(alphas)

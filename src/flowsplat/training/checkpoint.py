@@ -29,7 +29,7 @@ from flowsplat.geometry.cameras import MAX_COORDINATE
 MODEL_VERSION = 5
 _FOUND = ("seen", "shadow_free")
 """What is found when training ends, where it was."""
-_LARGEST_LOG = 80.0
+_MAX_LOG = 80.0
 """Logarithm of what still is a float32."""
 
 
@@ -183,7 +183,7 @@ def check_model(path: Path, gaussians: Gaussians4D) -> None:
         values = gaussians.params[name]
         if values.shape != (count, *shape) or values.dtype != torch.float32:
             raise InputError(f"{path} is damaged: {name} is {values.dtype} {tuple(values.shape)}, expected {(count, *shape)}.")
-        most = _LARGEST_LOG if name.startswith("log_") else MAX_COORDINATE
+        most = _MAX_LOG if name.startswith("log_") else MAX_COORDINATE
         if not bool((values <= most).all() and (values >= -MAX_COORDINATE).all()):  # not for NaN
             raise InputError(f"{path} is damaged: {name} holds values that are not finite, or beyond {most:g}.")
     if gaussians.dynamic.shape != (count,) or gaussians.object_ids.shape != (count,):
@@ -192,8 +192,8 @@ def check_model(path: Path, gaussians: Gaussians4D) -> None:
     if seen is not None and (seen.dtype != torch.float32 or not bool(((seen >= 0) & (seen < torch.inf)).all())):
         raise InputError(f"{path} is damaged: what the clip has seen of a Gaussian is no number, or negative.")
     shadow_free = gaussians.shadow_free
-    if shadow_free is not None and (shadow_free.dtype != torch.float32 or not bool((shadow_free.abs() <= _LARGEST_LOG).all())):
-        raise InputError(f"{path} is damaged: how bright a Gaussian is without shadows is no number, or beyond {_LARGEST_LOG:g}.")
+    if shadow_free is not None and (shadow_free.dtype != torch.float32 or not bool((shadow_free.abs() <= _MAX_LOG).all())):
+        raise InputError(f"{path} is damaged: how bright a Gaussian is without shadows is no number, or beyond {_MAX_LOG:g}.")
 
 
 def check_training_state(path: Path, tensors: Mapping[str, Tensor], gaussians: Gaussians4D) -> None:

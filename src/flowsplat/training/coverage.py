@@ -6,7 +6,8 @@ from __future__ import annotations
 from torch import Tensor
 
 UNCOVERED_FROM = 0.3
-"""Transmittance that costs nothing. Less than ``render.FILLED_FROM``, from which on rendering fills."""
+"""Transmittance that costs nothing. Less than ``render.FILLED_FROM``, from which on rendering fills (docs/method.md, "Where
+preset `default` differs from the paper")."""
 
 
 def coverage_loss(alpha: Tensor) -> Tensor:

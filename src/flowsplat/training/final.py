@@ -13,12 +13,14 @@ from flowsplat.scenes.layers import Layers
 from flowsplat.training.config import TrainConfig
 
 FINAL_FIT_SHARE = 0.25
-"""Steps of the final fit, as a share of those of the training."""
-AVERAGED = 0.5
-"""Of the steps of the final fit, the share over which its result is the mean, where training has such a mean."""
+"""Steps of the final fit, as a share of those of the training. With a quarter no held-out frame of bear and lady-running stays
+behind (docs/method.md, "Training")."""
+AVERAGED_SHARE = 0.5
+"""Of the steps of the final fit, the share over which its result is the mean, where training has such a mean
+(docs/method.md, "Training")."""
 NEIGHBOR_VISITS = 2
 """How often a training frame beside a held-out one is drawn where others are drawn once: what is fitted to a frame is seen in the
-frames beside it, too, and they would lose what the held-out frame gains."""
+frames beside it, too, and they would lose what the held-out frame gains (docs/method.md, "Training")."""
 
 
 def final_config(config: TrainConfig) -> TrainConfig:
@@ -30,7 +32,7 @@ def final_config(config: TrainConfig) -> TrainConfig:
     return replace(
         config,
         iterations=config.iterations + added,
-        average=min(config.average, AVERAGED * added / (config.iterations + added)),
+        average=min(config.average, AVERAGED_SHARE * added / (config.iterations + added)),
         density=replace(config.density, every=0, reset_every=0, gradient=0.0, revise=False),
     )
 

@@ -12,7 +12,7 @@ from flowsplat.gaussians.observations import Observations
 from flowsplat.training.photometric_loss import PhotometricTargets
 
 MAX_MEMORY_SHARE = 0.5
-"""Of the memory that is free at the start, how much of a GPU's may be taken by targets that stay."""
+"""Of the memory that is free at the start, how much of a GPU's may be taken by targets that stay. Chosen by eye."""
 
 
 class Targets:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-FIRST, INTERVAL = 5.0, 20.0
-"""Seconds until the first checkpoint, so that there is something to look at, and from one to the next."""
-COST = 0.02
-"""Share of the time that checkpoints may take."""
+FIRST_CHECKPOINT, CHECKPOINT_INTERVAL = 5.0, 20.0
+"""Seconds until the first checkpoint, so that there is something to look at, and from one to the next. Chosen by eye."""
+MAX_CHECKPOINT_SHARE = 0.02
+"""Share of the time that checkpoints may take. Chosen by eye."""
 
 
 class CheckpointTimes:
@@ -13,7 +13,7 @@ class CheckpointTimes:
 
     def __init__(self, every: int | None, now: float):
         """``every``: steps between two checkpoints, 0 = none, None = by time; ``now``: in seconds."""
-        self._every, self._next = every, now + FIRST
+        self._every, self._next = every, now + FIRST_CHECKPOINT
 
     def is_due(self, step: int, now: float) -> bool:
         """Return whether one is due after a step."""
@@ -21,4 +21,4 @@ class CheckpointTimes:
 
     def note_written(self, now: float, seconds: float) -> None:
         """Note that one was written, and how long that took."""
-        self._next = now + max(INTERVAL, seconds / COST)
+        self._next = now + max(CHECKPOINT_INTERVAL, seconds / MAX_CHECKPOINT_SHARE)

@@ -50,12 +50,13 @@ from flowsplat.training.timing import CheckpointTimes
 from flowsplat.training.weight_averaging import AVERAGE_STRIDE, TailAverage
 
 RECORD_EVERY = 10
-"""Steps that one entry of the history averages over."""
+"""Steps that one entry of the history averages over. Chosen by eye."""
 
-ALONE = 0.01
-"""Share of the dynamic Gaussians that may be without neighbors until the next search, which takes as long as tens of steps."""
+MAX_ALONE_SHARE = 0.01
+"""Share of the dynamic Gaussians that may be without neighbors until the next search, which takes as long as tens of steps
+(docs/method.md, "Where preset `default` differs from the paper")."""
 
-GOLDEN = (5**0.5 - 1) / 2
+GOLDEN_RATIO = (5**0.5 - 1) / 2
 """Its multiples, without what is whole of them, are spread most evenly (Knuth, The Art of Computer Programming 3, 6.4)."""
 
 Preview = Callable[[int, Observation, RenderedFrame], None]
@@ -417,7 +418,7 @@ class Trainer:
                 self._average.restart()
                 # Those that became dynamic have no neighbors yet, and are those of none. A few can wait for the next search.
                 dynamic = self.gaussians.dynamic
-                if self._neighbors is not None and float(self._neighbors.alone[dynamic].float().mean()) > ALONE:
+                if self._neighbors is not None and float(self._neighbors.alone[dynamic].float().mean()) > MAX_ALONE_SHARE:
                     self._neighbors = None
                 report(f"Step {self.step}: {moved:,} background Gaussians turned out to move, {rested:,} moving ones rest.")
         if config.gradient > 0:
@@ -523,7 +524,7 @@ class Trainer:
 
 def _spread_order(count: int, rng: np.random.Generator) -> np.ndarray:
     """Return a permutation [count] of which any few in a row lie far apart: multiples of the golden ratio, from a random one on."""
-    return np.argsort(np.argsort((rng.random() + GOLDEN * np.arange(count)) % 1))
+    return np.argsort(np.argsort((rng.random() + GOLDEN_RATIO * np.arange(count)) % 1))
 
 
 @functools.cache

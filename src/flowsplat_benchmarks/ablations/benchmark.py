@@ -18,10 +18,12 @@ from flowsplat_benchmarks.resume import BenchmarkOptions, measure_jobs, results_
 PROTOCOL = "ablations"
 SCENES = ("train", "bear", "workshop")
 SEEDS = (0, 1)
+"""Of the random numbers of the runs of every row."""
 ITERATIONS = 1500
-SIZE = 427
+"""Training steps of every run."""
+CLIP_SIDE = 427
 """Long side of the clips, pixels; a rendered scene keeps its own."""
-CAP = 240_000
+MAX_GAUSSIANS = 240_000
 """Gaussians of every run, at most."""
 
 
@@ -49,12 +51,16 @@ def run_ablations(
     Raises:
         InputError: a name is not known, an input cannot be used, or the folder cannot be written.
     """
-    claims, known = choose_claims(rows), ablation_scenes(root, SIZE)
+    claims, known = choose_claims(rows), ablation_scenes(root, CLIP_SIDE)
     wanted = choose_scenes(root, known, scenes)
-    jobs = [run.job(out) for run in list_training_runs(PROTOCOL, wanted, list_needed_variants(claims), seeds, iterations, CAP)]
+    jobs = [
+        run.job(out) for run in list_training_runs(PROTOCOL, wanted, list_needed_variants(claims), seeds, iterations, MAX_GAUSSIANS)
+    ]
 
     def report(failed: Mapping[str, str]) -> Path:
-        found, others = comparable(results_in(PROTOCOL, out), PROTOCOL, known, list_needed_variants(CLAIMS), iterations, CAP)
+        found, others = comparable(
+            results_in(PROTOCOL, out), PROTOCOL, known, list_needed_variants(CLAIMS), iterations, MAX_GAUSSIANS
+        )
         return write_report(out, found, failed, others)
 
     return measure_jobs(jobs, out, report, "runs", again, options)

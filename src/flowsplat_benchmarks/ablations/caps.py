@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from flowsplat.common.errors import InputError
 from flowsplat.evaluation.scores import mean_of
-from flowsplat.images.charts import MOST_SERIES, Points, line_chart
+from flowsplat.images.charts import MAX_SERIES, Points, line_chart
 from flowsplat_benchmarks.ablations.page import how_measured, scene_names, write_ablation_report
 from flowsplat_benchmarks.ablations.scenes import ablation_scenes, choose_scenes
 from flowsplat_benchmarks.ablations.training_runs import comparable, list_training_runs
@@ -20,13 +20,16 @@ from flowsplat_benchmarks.tables import Chart, Column, Result, Table
 PROTOCOL = "caps"
 SCENES = ("bear", "train")
 SEEDS = (0,)
+"""Of the random numbers of the runs."""
 CAPS = (50_000, 100_000, 200_000, 400_000, 600_000)
+"""Gaussians at most, of the runs with different caps."""
 STEPS = (250, 500, 1000, 1500, 3000)
+"""Frame-steps of the runs with different numbers of steps."""
 ITERATIONS = 1500
 """Frame-steps of the runs with different caps."""
-CAP = 200_000
+STEPS_CAP = 200_000
 """Gaussians of the runs with different numbers of steps."""
-SIZE = 854
+CLIP_SIDE = 854
 """Long side of the clips, pixels; a rendered scene keeps its own."""
 
 DENSE = {"init.background_spacing": 1.0, "init.foreground_spacing": 1.0}
@@ -57,7 +60,7 @@ def run_caps(
     caps: Sequence[int] = CAPS,
     steps: Sequence[int] = STEPS,
     seeds: Sequence[int] = SEEDS,
-    size: int = SIZE,
+    size: int = CLIP_SIDE,
     again: bool = False,
     options: BenchmarkOptions | None = None,
 ) -> Path:
@@ -66,7 +69,7 @@ def run_caps(
     Args:
         root: the data root.
         caps: numbers of Gaussians, each with ``ITERATIONS`` steps.
-        steps: numbers of frame-steps, each with ``CAP`` Gaussians.
+        steps: numbers of frame-steps, each with ``STEPS_CAP`` Gaussians.
         size: long side of clips of DAVIS in pixels; 0 = as they are.
         again: forget the figures of these runs that are in OUT; prepared scenes stay.
         options: how many at a time, and by what.
@@ -79,18 +82,18 @@ def run_caps(
     """
     if any(value < 1 for value in (*caps, *steps)):
         raise InputError("--caps and --steps are numbers of Gaussians and of steps: 1 or more.")
-    plan = dict.fromkeys([*((cap, ITERATIONS) for cap in caps), *((CAP, count) for count in steps)])
+    plan = dict.fromkeys([*((cap, ITERATIONS) for cap in caps), *((STEPS_CAP, count) for count in steps)])
     known = ablation_scenes(root, size)
     wanted = choose_scenes(root, known, scenes)
     jobs = [
         run.job(out)
-        for run in list_training_runs(PROTOCOL, wanted, [make_capped_variant(*each) for each in plan], seeds, ITERATIONS, CAP)
+        for run in list_training_runs(PROTOCOL, wanted, [make_capped_variant(*each) for each in plan], seeds, ITERATIONS, STEPS_CAP)
     ]
 
     def report(failed: Mapping[str, str]) -> Path:
         results = results_in(PROTOCOL, out)
         there = dict.fromkeys((result["cap"], result["iterations"]) for result in results)
-        found, others = comparable(results, PROTOCOL, known, [make_capped_variant(*each) for each in there], ITERATIONS, CAP)
+        found, others = comparable(results, PROTOCOL, known, [make_capped_variant(*each) for each in there], ITERATIONS, STEPS_CAP)
         return write_report(out, found, failed, others)
 
     return measure_jobs(jobs, out, report, "runs", again, options)
@@ -109,14 +112,14 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
     """
     plans = (
         ("cap", "iterations", ITERATIONS, "Gaussians", "Gaussians at most"),
-        ("iterations", "cap", CAP, "frame-steps", "frame-steps"),
+        ("iterations", "cap", STEPS_CAP, "frame-steps", "frame-steps"),
     )
     tables = []
     for axis, fixed, value, name, label in plans:
         chosen = [result for result in results if result[fixed] == value]
         if len({result[axis] for result in chosen}) > 1:
             scenes = scene_names(chosen)
-            more = f" The image shows {MOST_SERIES} of {len(scenes)} scenes." if len(scenes) > MOST_SERIES else ""
+            more = f" The image shows {MAX_SERIES} of {len(scenes)} scenes." if len(scenes) > MAX_SERIES else ""
             note = f"Each with {value:,} {'frame-steps' if fixed == 'iterations' else 'Gaussians at most'}. Means over seeds.{more}"
             tables.append(_table(f"PSNR against {name}", note, label, axis, chosen))
     verdict = f"Runs measured: {len(results)}."
@@ -133,7 +136,7 @@ def _chart(title: str, x_label: str, axis: str, results: Sequence[Result]) -> Ma
     values = sorted({result[axis] for result in results})
     series: dict[str, Points] = {
         label: (values, [_mean(results, scene, axis, value, "psnr") for value in values])
-        for scene, label in list(scene_names(results).items())[:MOST_SERIES]
+        for scene, label in list(scene_names(results).items())[:MAX_SERIES]
     }
     return line_chart(series, title=title, x_label=x_label, y_label="PSNR, dB", dots=True)
 

@@ -10,7 +10,7 @@ from flowsplat_benchmarks.commands import WORK, Names, Numbers, Root, Work
 
 def caps(
     root: Root, out: Out, scenes: Names = capping.SCENES, caps: Numbers = capping.CAPS, steps: Numbers = capping.STEPS,
-    seeds: Numbers = capping.SEEDS, size: int = capping.SIZE, again: bool = False, work: Work = WORK,
+    seeds: Numbers = capping.SEEDS, size: int = capping.CLIP_SIDE, again: bool = False, work: Work = WORK,
 ) -> None:  # fmt: skip
     """What more Gaussians and more frame-steps bring: PSNR against both, as images.
 

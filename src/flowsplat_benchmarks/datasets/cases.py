@@ -33,7 +33,9 @@ from flowsplat_benchmarks.roots import open_root, require_scenes
 
 ALL_FRAMES = InputOptions(every=1, max_frames=100_000)
 NSFF_TIMES, NSFF_HEIGHT = 24, 288
+"""Frames, and pixels of height, of the protocol of NSFF."""
 TWELVE_WIDTH = 480
+"""Pixels of width of the protocol with twelve images."""
 MARBLES_SCALE = 2
 """Dynamic Gaussian Marbles measures on images of half the size."""
 

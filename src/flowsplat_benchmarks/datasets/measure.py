@@ -22,8 +22,8 @@ from flowsplat_benchmarks.datasets.cases import Case
 
 MOTION = ("flow_epe", "prior_flow_epe", "flow_prior_epe", "depth_abs_rel")
 """Errors of flow and depth (``evaluation.evaluate``)."""
-TIMED = 5
-"""Images that are rendered to tell how many there are in a second."""
+TIMED_IMAGES = 5
+"""Images that are rendered to tell how many there are in a second. Chosen by eye."""
 
 
 def measure_case(case: Case, folder: Path, strip: Path) -> dict[str, Any]:
@@ -86,7 +86,7 @@ def _images_a_second(model: SceneModel, scene: Scene) -> float:
     compile."""
     seconds = []
     model.render(scene.cameras[scene.train_frames[0]], float(scene.timestamps[scene.train_frames[0]]))
-    for i in scene.train_frames[:: max(1, len(scene.train_frames) // TIMED)]:
+    for i in scene.train_frames[:: max(1, len(scene.train_frames) // TIMED_IMAGES)]:
         start = time.perf_counter()
         model.render(scene.cameras[i], float(scene.timestamps[i]))
         seconds.append(time.perf_counter() - start)

@@ -19,7 +19,7 @@ from flowsplat_benchmarks.resume import BenchmarkOptions, Measurement, measure_j
 from flowsplat_benchmarks.tables import describe_version
 from flowsplat_benchmarks.worlds import read_objects
 
-PROCESSES = 2
+DEFAULT_PROCESSES = 2
 """Worlds that are worked on at a time where the options do not say it."""
 
 FIGURES = "figures.json"
@@ -27,6 +27,7 @@ FIGURES = "figures.json"
 
 TITLE = "Objects of random worlds"
 WIDTH, HEIGHT, FRAMES = 320, 180, 40
+"""Pixels, and frames of a world."""
 
 
 def run_objects_benchmark(
@@ -58,7 +59,7 @@ def run_objects_benchmark(
     def report(failed: Mapping[str, str]) -> Path:
         return write_report(out, seeds, failed, kind)
 
-    return measure_jobs(jobs, out, report, "worlds", again, options, workers=PROCESSES)
+    return measure_jobs(jobs, out, report, "worlds", again, options, workers=DEFAULT_PROCESSES)
 
 
 def _name(seed: int, kind: WorldKind) -> str:

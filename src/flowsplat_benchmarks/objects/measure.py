@@ -18,13 +18,14 @@ from flowsplat_benchmarks.worlds import read_objects
 
 MIN_OVERLAP = 0.3
 """Intersection over union of a true and an estimated mask of one object from which they count as the same in a frame; an object
-without any such frame was never found."""
+without any such frame was never found. Chosen by eye."""
 
 MIN_PIXELS = 20
-"""Pixels of an object in a frame below which it does not count there."""
+"""Pixels of an object in a frame below which it does not count there. Chosen by eye."""
 
-AT_FEET = 6
-"""Pixels from the lowest pixels of an object that touches the ground, within which what rests is called the ground at its feet."""
+FEET_REACH = 6
+"""Pixels from the lowest pixels of an object that touches the ground, within which what rests is called the ground at its feet.
+Chosen by eye."""
 
 CENTRAL_PERCENTILES = (15.87, 84.13)
 """Percentiles whose half distance is the standard deviation of a normal distribution."""
@@ -176,7 +177,7 @@ def _depth_errors(log: np.ndarray, inside: np.ndarray) -> Record:
 
 def _at_feet(true: np.ndarray, known: list[Record], seconds: list[float]) -> np.ndarray:
     """Return [T, H, W] bool: near the lowest pixels of objects, in frames at whose time these touch the ground."""
-    near, around = np.zeros(true.shape, bool), np.ones((2 * AT_FEET + 1, 2 * AT_FEET + 1), np.uint8)
+    near, around = np.zeros(true.shape, bool), np.ones((2 * FEET_REACH + 1, 2 * FEET_REACH + 1), np.uint8)
     half = np.diff(seconds).mean() / 2 if len(seconds) > 1 else np.inf
     for obj in known:
         for t, second in enumerate(seconds):

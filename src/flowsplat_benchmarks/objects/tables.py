@@ -8,7 +8,7 @@ import numpy as np
 
 from flowsplat.images.html import NOTHING
 from flowsplat.scenes.synthetic.worlds.parts import KINDS
-from flowsplat_benchmarks.objects.measure import AT_FEET, MIN_OVERLAP, Record
+from flowsplat_benchmarks.objects.measure import FEET_REACH, MIN_OVERLAP, Record
 from flowsplat_benchmarks.objects.preparation import VARIANTS, Variant
 from flowsplat_benchmarks.tables import Column, Result, Table, text
 from flowsplat_benchmarks.worlds.cameras import CAMERAS
@@ -28,7 +28,7 @@ HEADER = (
 STATIC = ("median", "p90")
 """Figures of what rests."""
 
-SIGMAS = (1, 2)
+COVERAGE_SIGMAS = (1, 2)
 """Multiples of what is believed of an error whose coverage is told."""
 
 TITLES: dict[Variant, str] = {
@@ -77,7 +77,7 @@ def _static(results: Sequence[Result]) -> Table:
                 rows.append((f"{TITLES[variant]}: {name}", str(len(of_them)), *(text(x, 3) for x in figures)))
     header = ("", "worlds", "median", "90th percentile", "at feet: median", "90th percentile")
     note = (
-        f"|ln(estimated / true depth)| over all pixels that rest by the true and by our masks, and over those within {AT_FEET} "
+        f"|ln(estimated / true depth)| over all pixels that rest by the true and by our masks, and over those within {FEET_REACH} "
         "pixels of the lowest pixels of objects that touch the ground. Each figure is the median over the worlds."
     )
     return Table("What rests", note, header, rows)
@@ -88,7 +88,7 @@ def _table(results: Sequence[Result], variant: Variant) -> Table:
     rows: list[tuple[str, ...]] = [(name, *_cells(group)) for name, group in groups.items()]
     header: tuple[str, ...] = HEADER
     if any("sigma" in obj for group in groups.values() for obj in group):
-        header += tuple(f"within {n} sigma" for n in SIGMAS)
+        header += tuple(f"within {n} sigma" for n in COVERAGE_SIGMAS)
         rows = [(*row, *_coverage(group)) for row, group in zip(rows, groups.values(), strict=True)]
     whole = float(np.mean([result[variant]["idf1"] for result in results])) if results else None
     note = f"{NOTE} IDF1 of a world, objects that are no object counted as errors: {text(whole, 2)} (mean)."
@@ -142,7 +142,7 @@ def _coverage(objects: Sequence[Record]) -> tuple[str, ...]:
     """Return shares of the objects with a believed error whose true one is within some multiples of it."""
     known = [obj for obj in objects if obj.get("sigma") and obj["ln_distance"] is not None]
     told = [abs(obj["ln_distance"]) / obj["sigma"] for obj in known]
-    return tuple(f"{100 * float(np.mean(np.array(told) <= n)):.0f} %" if told else NOTHING for n in SIGMAS)
+    return tuple(f"{100 * float(np.mean(np.array(told) <= n)):.0f} %" if told else NOTHING for n in COVERAGE_SIGMAS)
 
 
 def _median(values: Iterable[float | None]) -> float | None:

@@ -24,23 +24,23 @@ CLASSES = (
 """A pixel belongs to the first of these that it is."""
 
 ASKED_FRAMES = 24
-"""Training frames that are asked whether they saw a point, evenly over the clip."""
+"""Training frames that are asked whether they saw a point, evenly over the clip. Chosen by eye."""
 MIN_WITNESSES = 4
-"""Witnesses that saw it are few below this."""
+"""Witnesses that saw it are few below this. Chosen by eye."""
 SURFACE_TOLERANCE = 0.02
-"""Share of its distance by which a point may lie behind the surface that a frame sees."""
+"""Share of its distance by which a point may lie behind the surface that a frame sees. Chosen by eye."""
 EDGE_DEPTH_JUMP = 0.05
-"""Share of its distance by which depth differs at an edge."""
-AT_EDGE = 4
-"""Pixels from an edge."""
+"""Share of its distance by which depth differs at an edge. Chosen by eye."""
+EDGE_REACH = 4
+"""Pixels from an edge. Chosen by eye."""
 MAX_THIN_PIXELS = 9
-"""Pixels; what is narrower is thin."""
-AT_OBJECT = 8
-"""Pixels from an object."""
-AT_BORDER = 0.04
-"""Share of the image's size from its border."""
+"""Pixels; what is narrower is thin. Chosen by eye."""
+OBJECT_REACH = 8
+"""Pixels from an object. Chosen by eye."""
+BORDER_SHARE = 0.04
+"""Share of the image's size from its border. Chosen by eye."""
 MAX_DULL_SIGMA = 4.0
-"""Gray levels of 255: standard deviation in a window of seven pixels."""
+"""Gray levels of 255: standard deviation in a window of seven pixels. Chosen by eye."""
 
 _COLORS = np.array(
     [(90, 90, 90), (255, 60, 60), (255, 150, 0), (255, 230, 0), (180, 110, 255), (0, 190, 255), (60, 90, 255), (120, 220, 160),
@@ -83,7 +83,7 @@ class PixelClasses:
         seen = self._count_witnesses(depth, view.camera)
         # Where the clip's image of the same time ends.
         pixels, ahead = own.project(unproject_depth(depth, view.camera))
-        margin = AT_BORDER * np.array([own.width, own.height])
+        margin = BORDER_SHARE * np.array([own.width, own.height])
         inside = (ahead > 0) & (pixels >= margin).all(-1) & (pixels <= [own.width, own.height] - margin).all(-1)
         moves = np.zeros_like(seen, bool) if moves is None else moves > 0
         return _classes(self._scene.view_image(view), depth, moves, seen, ~inside)
@@ -114,14 +114,14 @@ def _splat(nearest: np.ndarray, view: Camera, points: np.ndarray) -> None:
 
 def _near_border(shape: tuple[int, ...]) -> np.ndarray:
     near = np.ones(shape, bool)
-    rows, columns = (max(round(AT_BORDER * size), 1) for size in shape)
+    rows, columns = (max(round(BORDER_SHARE * size), 1) for size in shape)
     near[rows:-rows, columns:-columns] = False
     return near
 
 
 def _classes(image: np.ndarray, depth: np.ndarray, moves: np.ndarray, seen: np.ndarray, near_border: np.ndarray) -> np.ndarray:
     nearness = np.where(depth > 0, 1 / np.maximum(depth, 1e-9), 0).astype(np.float32)
-    around = np.ones((2 * AT_EDGE + 1, 2 * AT_EDGE + 1), np.uint8)
+    around = np.ones((2 * EDGE_REACH + 1, 2 * EDGE_REACH + 1), np.uint8)
     gray = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY).astype(np.float32)
     variance = cv2.blur(gray**2, (7, 7)) - cv2.blur(gray, (7, 7)) ** 2
     beyond = np.pad(nearness, MAX_THIN_PIXELS, mode="reflect", reflect_type="odd")  # slopes go on beyond the border
@@ -136,7 +136,7 @@ def _classes(image: np.ndarray, depth: np.ndarray, moves: np.ndarray, seen: np.n
         "never seen": seen == 0,
         "few frames": seen < MIN_WITNESSES,
         "border": near_border,
-        "near objects": cv2.dilate(moves.astype(np.uint8), np.ones((2 * AT_OBJECT + 1, 2 * AT_OBJECT + 1), np.uint8)) > 0,
+        "near objects": cv2.dilate(moves.astype(np.uint8), np.ones((2 * OBJECT_REACH + 1, 2 * OBJECT_REACH + 1), np.uint8)) > 0,
         "thin": nearness > (1 + EDGE_DEPTH_JUMP) * wide,
         "behind edges": cv2.dilate(np.where(jumps, nearness, 0), around) > (1 + EDGE_DEPTH_JUMP / 2) * nearness,
         "before edges": cv2.dilate(jumps.astype(np.uint8), around) > 0,

@@ -17,10 +17,10 @@ from flowsplat.common.errors import InputError
 from flowsplat.evaluation.placement import true_scale
 from flowsplat.scenes import Layers, Scene
 
-ON_OBJECT = 0.2
-"""Share of an object's pixels that must lie on the true object that it is on most, else it is on none."""
+MIN_OBJECT_SHARE = 0.2
+"""Share of an object's pixels that must lie on the true object that it is on most, else it is on none. Chosen by eye."""
 MIN_PIXELS = 20
-"""Pixels of an object in a frame from which that frame tells how its depth changes over time."""
+"""Pixels of an object in a frame from which that frame tells how its depth changes over time. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def match_objects(scene: Scene) -> list[MatchedObject]:
     alone = []
     for number in map(int, np.flatnonzero(counts[1:].sum(1)) + 1):
         best = int(counts[number, 1:].argmax()) + 1
-        if counts[number, best] >= ON_OBJECT * counts[number].sum():
+        if counts[number, best] >= MIN_OBJECT_SHARE * counts[number].sum():
             found.setdefault(best, []).append(number)
         else:
             alone.append(MatchedObject(0, (number,)))

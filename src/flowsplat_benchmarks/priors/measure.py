@@ -19,10 +19,10 @@ from flowsplat.scenes.formats.rig import RigTruth
 from flowsplat.scenes.ingest import open_clip
 from flowsplat_benchmarks.priors.scenes import TRUE_FLOW, BenchmarkScene
 
-RIGHT_FLOW = 1.0
-"""Pixels up to which flow counts as right."""
-RIGHT_TRACK = 2.0
-"""Pixels up to which a point of a track counts as right."""
+MAX_FLOW_ERROR = 1.0
+"""Pixels up to which flow counts as right. Chosen by eye."""
+MAX_TRACK_ERROR = 2.0
+"""Pixels up to which a point of a track counts as right. Chosen by eye."""
 UNKNOWN_FLOW = 1e9
 """Values above this say in a ``.flo`` file that the flow is not known."""
 
@@ -114,7 +114,7 @@ def flow_figures(pairs: Iterable[tuple[Flow, Flow, np.ndarray | None]]) -> Figur
         objects.append(np.zeros(known.sum(), bool) if mask is None else mask[known])
     error, match, keep, moving = (np.concatenate(part) for part in (errors, matched, kept, objects))
     figures = {
-        "flow.epe": _mean(error), "flow.kept": 100 * _mean(keep[match]), "flow.right": 100 * _mean(error[keep] <= RIGHT_FLOW),
+        "flow.epe": _mean(error), "flow.kept": 100 * _mean(keep[match]), "flow.right": 100 * _mean(error[keep] <= MAX_FLOW_ERROR),
     }  # fmt: skip
     if moving.any():
         figures |= {"flow.epe_objects": _mean(error[moving]), "flow.epe_matched": _mean(error[match])}
@@ -178,7 +178,7 @@ def track_figures(scene: Scene, truth: Layers, births: np.ndarray) -> Figures:
     others[np.arange(len(asked)), births] = False
     others[:, scene.heldout_frames] = False
     alive, seen = own.visible & others, seen & others
-    near = np.linalg.norm(own.points - pixels, axis=-1) <= RIGHT_TRACK
+    near = np.linalg.norm(own.points - pixels, axis=-1) <= MAX_TRACK_ERROR
     figures = {}
     for suffix, part in (("", np.ones(len(asked), bool)), ("_objects", moving)):
         if seen[part].any():

@@ -27,10 +27,11 @@ TITLE = "Priors, measured"
 PAGE, TABLE = "priors.html", "priors.md"
 STRIP = "strip.png"
 STRIP_FRAMES = 3
+"""Frames that are shown of a scene. Chosen by eye."""
 STRIP_HEIGHT = 180
-"""Pixels of a row of the strip."""
-STRIP_WIDTH = 2000
-"""Pixels of a strip in the page, at most."""
+"""Pixels of a row of the strip. Chosen by eye."""
+MAX_STRIP_WIDTH = 2000
+"""Pixels of a strip in the page, at most. Chosen by eye."""
 
 
 def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]) -> Path:
@@ -83,7 +84,7 @@ def _facts(result: Result) -> str:
 def _scene(out: Path, result: Result) -> dict[str, Any]:
     name, path = str(result["scene"]), out / str(result["scene"]) / STRIP
     images = [(read_image(path), f"{name}: frames, ours and the truth")] if path.exists() else []
-    return scene_section(out, name, _facts(result), f"{name}/{PAGE}", images, STRIP_WIDTH)
+    return scene_section(out, name, _facts(result), f"{name}/{PAGE}", images, MAX_STRIP_WIDTH)
 
 
 # -- images

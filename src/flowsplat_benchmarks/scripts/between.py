@@ -35,7 +35,8 @@ from flowsplat.training.scene_model import scene_model
 from flowsplat.training.trainer import Trainer
 from flowsplat_benchmarks.worlds import draw_world, write_world
 
-WIDTH, HEIGHT, FRAMES, HOLDOUT, STEPS = 320, 180, 40, 5, 300
+WIDTH, HEIGHT, FRAMES, HOLDOUT, TRAINING_STEPS = 320, 180, 40, 5, 300
+"""Pixels and frames of a world, every how many frames one is held out, and training steps."""
 SPEEDS, THICKNESSES, BLURS = (1.0, 3.0, 6.0), (4.0, 8.0, 16.0), (0.5, 1.5)
 """Pixels a frame, pixels, and pixels, between which kinds of pixels differ."""
 
@@ -140,7 +141,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--worlds", type=int, default=8)
     parser.add_argument("--dancers", action="store_true")
-    parser.add_argument("--steps", type=int, default=STEPS)
+    parser.add_argument("--steps", type=int, default=TRAINING_STEPS)
     chosen = parser.parse_args()
     results = []
     for seed in range(chosen.seed, chosen.seed + chosen.worlds):

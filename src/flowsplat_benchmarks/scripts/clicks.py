@@ -23,6 +23,7 @@ from flowsplat.scenes import Scene
 from flowsplat_benchmarks.worlds import draw_world, write_world
 
 WIDTH, HEIGHT, FRAMES, MIN_PIXELS = 320, 180, 40, 150
+"""Pixels and frames of a world, and pixels of an object in a frame below which it is not clicked."""
 
 
 def prepare(folder: Path, seed: int) -> Scene:

@@ -33,18 +33,21 @@ from flowsplat_benchmarks.scripts.cpu_parts.timing import significant, tell
 
 MODULE = "flowsplat_benchmarks.scripts.growth"
 """This one, which its processes run."""
-STEPS = 60
+TRAINING_STEPS = 60
+"""Training steps of every run."""
 FRAMES = (40, 80, 160, 320)
+"""Numbers of frames that are compared."""
 LONG_SIDE = 320
 """Pixels of the long side where frames are counted; the long clip at 480p is enlarged from that."""
 LONG_CLIP = 300, 854
 """Frames and pixels of that one."""
-SIDES = (427, 640, 854, 1280, 1920)
+LONG_SIDES = (427, 640, 854, 1280, 1920)
+"""Pixels of the long side that are compared."""
 FEW_FRAMES = 16
 """Frames where pixels or Gaussians are counted."""
-DRAWN = 960
-"""Pixels of the images that those are made of; larger ones are enlarged."""
-SPACINGS = (3.0, 2.0, 1.5, 1.0, 0.75)
+MAX_DRAWN_SIDE = 960
+"""Pixels of the images that those are made of; larger ones are enlarged. Chosen by eye."""
+BACKGROUND_SPACINGS = (3.0, 2.0, 1.5, 1.0, 0.75)
 """Pixels between Gaussians of the background at the start."""
 STAGES = ("ingest", *PRIORS.names, "train", "evaluate", "render")
 
@@ -76,7 +79,7 @@ def measure(case: GrowthCase) -> dict[str, Any]:
     init = config.train.init if case.spacing is None else replace(config.train.init, background_spacing=case.spacing)
     config = replace(
         config, input=InputOptions(max_frames=case.frames, every=1, resize=case.side), render=RenderOptions(paths=("input",)),
-        train=replace(config.train, iterations=STEPS, preview_every=0, init=init), final_fit=False, coarse_scene=False,
+        train=replace(config.train, iterations=TRAINING_STEPS, preview_every=0, init=init), final_fit=False, coarse_scene=False,
     )  # fmt: skip
     metrics = run(Path(case.clip), Path(case.out), config)
     history = json.loads((Path(case.out) / "run.json").read_text())["stages"]
@@ -100,9 +103,9 @@ def enlarge(spec: SyntheticScene, side: int, path: Path) -> Path:
 def cases(folder: Path, only: Sequence[str], clips: Sequence[Path]) -> Iterator[GrowthCase]:
     """Yield all runs, a short one first that compiles the kernels."""
     long = SyntheticScene(width=LONG_SIDE, height=LONG_SIDE * 9 // 16, frames=max(FRAMES))
-    few = SyntheticScene(width=DRAWN, height=DRAWN * 9 // 16, frames=FEW_FRAMES)
+    few = SyntheticScene(width=MAX_DRAWN_SIDE, height=MAX_DRAWN_SIDE * 9 // 16, frames=FEW_FRAMES)
     if {"pixels", "gaussians"} & set(only):
-        large = str(enlarge(few, max(SIDES), folder / "few.mp4"))
+        large = str(enlarge(few, max(LONG_SIDES), folder / "few.mp4"))
         yield GrowthCase("warm-up", large, str(folder / "warm"), FEW_FRAMES, 160)
     if {"frames", "long"} & set(only):
         small = str(enlarge(long, LONG_SIDE, folder / "long.mp4"))
@@ -110,9 +113,11 @@ def cases(folder: Path, only: Sequence[str], clips: Sequence[Path]) -> Iterator[
     if "frames" in only:
         yield from (GrowthCase("frames", small, str(folder / f"frames_{n}"), n, LONG_SIDE) for n in FRAMES)
     if "pixels" in only:
-        yield from (GrowthCase("pixels", large, str(folder / f"pixels_{side}"), FEW_FRAMES, side) for side in SIDES)
+        yield from (GrowthCase("pixels", large, str(folder / f"pixels_{side}"), FEW_FRAMES, side) for side in LONG_SIDES)
     if "gaussians" in only:
-        yield from (GrowthCase("gaussians", large, str(folder / "pixels_854"), FEW_FRAMES, 854, each) for each in SPACINGS)
+        yield from (
+            GrowthCase("gaussians", large, str(folder / "pixels_854"), FEW_FRAMES, 854, each) for each in BACKGROUND_SPACINGS
+        )
     if "long" in only:
         yield GrowthCase("long", str(enlarge(long, LONG_CLIP[1], folder / "long_480p.mp4")), str(folder / "long"), *LONG_CLIP)
     yield from (GrowthCase("clip", str(clip), str(folder / f"clip_{clip.name}"), 1000, 854) for clip in clips)
@@ -154,7 +159,7 @@ def figure(rows: Sequence[dict[str, Any]]) -> str:
             series = {stage: (places, [row["seconds"][stage] for row in some]) for stage in PRIORS.names}
             charts.append(line_chart(series, title=f"Seconds of the priors by {kind}", x_label=label, y_label="seconds", dots=True))
             series = {
-                f"{STEPS} steps, s": (places, [row["seconds"]["train"] for row in some]),
+                f"{TRAINING_STEPS} steps, s": (places, [row["seconds"]["train"] for row in some]),
                 "evaluation, s": (places, [row["seconds"]["evaluate"] for row in some]),
                 "videos, s": (places, [row["seconds"]["render"] for row in some]),
                 "GiB, priors": (places, [row["memory"]["prepare"] for row in some]),
@@ -165,7 +170,7 @@ def figure(rows: Sequence[dict[str, Any]]) -> str:
         some = sorted(kinds["gaussians"], key=lambda row: row["active"])
         places = [row["active"] / 1e3 for row in some]
         series = {
-            f"{STEPS} steps, s": (places, [row["seconds"]["train"] for row in some]),
+            f"{TRAINING_STEPS} steps, s": (places, [row["seconds"]["train"] for row in some]),
             "GiB, training": (places, [row["memory"]["train"] for row in some]),
         }
         label = "thousand Gaussians active at a time, 854x480"

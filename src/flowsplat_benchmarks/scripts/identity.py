@@ -48,13 +48,14 @@ WORLDS: dict[WorldKind, tuple[range, range]] = {
 """Seeds of the worlds that are fitted, and of those that are not, by their kind."""
 BIASES = (-1.0, -1.5, -2.0)
 """That are tried, the weakest first; fragments of all of them are fitted."""
-RIDGE, STEPS = 1e-2, 25
-"""Of the logistic regression: the weight of the mean squared weight, and Newton's steps."""
+LOGISTIC_RIDGE, LOGISTIC_STEPS = 1e-2, 25
+"""Of the logistic regression: the weight of the mean squared weight, and Newton's steps. Chosen by eye."""
 FRAGMENTS_RIDGE = 0.1
-PURE = 0.7
-"""Share of a fragment that must be on one object."""
-FEWEST_PAIRS = 50
-"""Without as many, a scene tells nothing."""
+"""``LOGISTIC_RIDGE`` of the fit of fragments. Chosen by eye."""
+MIN_PURITY = 0.7
+"""Share of a fragment that must be on one object. Chosen by eye."""
+MIN_PAIRS = 50
+"""Without as many, a scene tells nothing. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ def read_known(scene: Scene, true_mask: Callable[[int], np.ndarray]) -> Known | 
         true[:, k] = np.where(found.seen[:, k], mask[y, x], 0)
     label = np.array([np.bincount(t[s]).argmax() for t, s in zip(true, found.seen, strict=True)])
     pairs = list_candidate_pairs(found)
-    if len(pairs) < FEWEST_PAIRS or not label.any():
+    if len(pairs) < MIN_PAIRS or not label.any():
         return None
     return Known(found, true, label, pairs, compute_pair_features(found, pairs))
 
@@ -146,7 +147,7 @@ def fit_cost(features: Sequence[np.ndarray], same: Sequence[np.ndarray], weights
     design, weight = expand((values - mean) / deviation), weight / weight.sum()
     found = np.zeros(design.shape[1])
     penalty = np.append(np.full(len(found) - 1, ridge / len(found)), 1e-9)
-    for _ in range(STEPS):
+    for _ in range(LOGISTIC_STEPS):
         chance = 1 / (1 + np.exp(-np.clip(design @ found, -30, 30)))
         curvature = (design * (weight * chance * (1 - chance))[:, None]).T @ design + np.diag(penalty)
         found = found - np.linalg.solve(curvature, design.T @ (weight * (chance - truth)) + penalty * found)
@@ -162,7 +163,7 @@ def fit_tracks(scenes: Iterable[Known]) -> Cost:
         features.append(known.features[told])
         same.append(labels[told, 0] == labels[told, 1])
         weights.append(np.full(int(told.sum()), 1 / len(told)))
-    return fit_cost(features, same, weights, RIDGE)
+    return fit_cost(features, same, weights, LOGISTIC_RIDGE)
 
 
 def fit_fragments(scenes: Iterable[Known], tracks: Cost) -> Cost:
@@ -176,7 +177,7 @@ def fit_fragments(scenes: Iterable[Known], tracks: Cost) -> Cost:
             counts = np.zeros((int(fragment.max(initial=-1)) + 1, int(known.true.max()) + 1))
             here = known.tracks.seen & (fragment >= 0)[:, None]
             np.add.at(counts, (np.broadcast_to(fragment[:, None], here.shape)[here], known.true[here]), 1)
-            label, pure = counts.argmax(1), counts.max(1, initial=0) > PURE * counts.sum(1)
+            label, pure = counts.argmax(1), counts.max(1, initial=0) > MIN_PURITY * counts.sum(1)
             told = (label[pairs] > 0).any(1) & pure[pairs].all(1)
             size = np.bincount(fragment[fragment >= 0], minlength=len(counts))[pairs[told]].min(1, initial=len(fragment))
             features.append(values[told])

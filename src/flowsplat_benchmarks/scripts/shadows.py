@@ -32,11 +32,12 @@ from flowsplat.training.scene_model import scene_model
 from flowsplat.training.trainer import Trainer
 from flowsplat_benchmarks.worlds import draw_world, write_world
 
-WIDTH, HEIGHT, FRAMES, STEPS, HOLDOUT = 320, 180, 40, 500, 3
-SUN, AMBIENT, RISE = 0.6, 0.5, 0.88
-"""Light of the sun and of the sky, and how much higher than wide the direction to the sun is."""
+WIDTH, HEIGHT, FRAMES, TRAINING_STEPS, HOLDOUT = 320, 180, 40, 500, 3
+"""Pixels and frames of a world, training steps, and every how many frames one is held out."""
+SUN_LIGHT, SKY_LIGHT, SUN_RISE = 0.6, 0.5, 0.88
+"""Light of the sun and of the sky, and how much higher than wide the direction to the sun is. Chosen by eye."""
 MIN_DARKENING, MIN_PIXELS = 0.04, 500
-"""Of a shadow, 0 to 1; and pixels of a kind that make a figure."""
+"""Of a shadow, 0 to 1; and pixels of a kind that make a figure. Chosen by eye."""
 KINDS = ("all", "shadow", "hidden", "all else")
 
 
@@ -46,8 +47,8 @@ def draw_lit_world(seed: int, sky: bool) -> World:
     if sky:
         return replace(world, light=replace(world.light, sun=0.0, ambient=world.light.ambient + world.light.sun))
     across = world.light.direction[:2] / np.linalg.norm(world.light.direction[:2])
-    direction = np.array([*across, RISE]) / np.hypot(1, RISE)
-    return replace(world, light=replace(world.light, direction=direction, sun=SUN, ambient=AMBIENT))
+    direction = np.array([*across, SUN_RISE]) / np.hypot(1, SUN_RISE)
+    return replace(world, light=replace(world.light, direction=direction, sun=SUN_LIGHT, ambient=SKY_LIGHT))
 
 
 def train_world(folder: Path, world: World) -> tuple[Scene, SceneModel]:
@@ -59,7 +60,7 @@ def train_world(folder: Path, world: World) -> tuple[Scene, SceneModel]:
         config = PRESETS["default"]
         density = replace(config.density, every=100, start=100)
         init = replace(config.init, background_spacing=2.0, foreground_spacing=2.0)
-        config = replace(config, iterations=STEPS, preview_every=0, density=density, init=init)
+        config = replace(config, iterations=TRAINING_STEPS, preview_every=0, density=density, init=init)
         trainer = Trainer(load_observations(scene), scene.tracks, config)
         save_model(folder / "model", scene_model(scene, trainer.run(), config))
     return scene, load_model(folder / "model")

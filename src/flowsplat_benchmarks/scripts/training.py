@@ -31,9 +31,9 @@ from flowsplat_benchmarks.scripts.cpu_parts.clock import profile
 from flowsplat_benchmarks.scripts.cpu_parts.step import DIRECTORS
 from flowsplat_benchmarks.scripts.cpu_parts.timing import significant, tell
 
-PROFILED = 12
+PROFILED_STEPS = 12
 """Steps whose parts are measured each time."""
-IMAGES = 12
+HELD_OUT_IMAGES = 12
 """Held-out images that say what was gained."""
 
 
@@ -149,7 +149,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("scene", type=Path)
     parser.add_argument("--every", type=int, default=100, help="steps between two looks at held-out images")
-    parser.add_argument("--images", type=int, default=IMAGES, help="held-out images that are looked at")
+    parser.add_argument("--images", type=int, default=HELD_OUT_IMAGES, help="held-out images that are looked at")
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="settings of training by their dotted names")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
@@ -163,11 +163,11 @@ def main() -> None:
     start = trainer._first()
     placing = time.process_time() - began
     trainer = Trainer(observations, tracks, config, start=start)
-    clock = StageClock(trainer, options.every, HeldoutImages(scene, options.images), PROFILED)
+    clock = StageClock(trainer, options.every, HeldoutImages(scene, options.images), PROFILED_STEPS)
     clock.attach()
     trainer.run()
     # What a step costs is that of a trained scene: from here on nothing counts for the result.
-    parts, by_class = parts_of_steps(trainer, PROFILED), classes(trainer, PROFILED)
+    parts, by_class = parts_of_steps(trainer, PROFILED_STEPS), classes(trainer, PROFILED_STEPS)
     figures = {
         "scene": str(options.scene), "size": [scene.width, scene.height], "settings": options.set,
         "gaussians": len(trainer.gaussians), "moving": int(trainer.gaussians.dynamic.sum()),

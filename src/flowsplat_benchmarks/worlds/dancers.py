@@ -23,8 +23,8 @@ from flowsplat.scenes.synthetic.worlds.people import (
     body,
 )
 
-STICKS = 0.5
-"""Share of dancers with a stick."""
+STICK_SHARE = 0.5
+"""Share of dancers with a stick. Chosen by eye."""
 
 _ACROSS = np.array([0.0, 1.0, 0.0])
 
@@ -59,7 +59,7 @@ def dancer(rng: np.random.Generator, ground: WorldGround, at: np.ndarray, headin
     sway, bow = waves(rng, 0.3, 1.0), Swing(0.08, rng.uniform(0, 0.25), rng.uniform(0.4, 1.2), rng.uniform(0, 2 * np.pi))
     arms = [_limb(rng, (0.5, 1.7), (0.4, 1.2), (0.8, 2.2)) for _ in range(2)]
     legs = [_limb(rng, (0.0, 0.3), (0.3, 0.8), (0.6, 1.6)) for _ in range(2)]
-    stick = rng.random() < STICKS
+    stick = rng.random() < STICK_SHARE
     if stick:
         parts.append(capsule(rng.uniform(0.012, 0.03) * scale, rng.uniform(0.5, 1.1) * scale, draw_material(rng, 0.2, rich)))
 

@@ -20,32 +20,33 @@ from flowsplat_benchmarks.worlds.objects import Scale, draw_objects
 from flowsplat_benchmarks.worlds.plan import WorldPlan, draw_plan
 from flowsplat_benchmarks.worlds.scenery import draw_ground, draw_scenery, draw_sky, draw_stand
 
-BLURRED, NOISY = 0.3, 0.7
-"""Shares of worlds with motion blur and with visible noise."""
+BLUR_SHARE, NOISE_SHARE = 0.3, 0.7
+"""Shares of worlds with motion blur and with visible noise. Chosen by eye."""
 
-SUNNY = 0.8
-"""Share of worlds with a sun."""
+SUN_SHARE = 0.8
+"""Share of worlds with a sun. Chosen by eye."""
 
-ATTEMPTS = 4000
-"""How often everything is placed anew at most."""
+MAX_ATTEMPTS = 4000
+"""How often everything is placed anew at most. Chosen by eye."""
 
 OCCLUSION = 0.9
 """Of the sky's light in crowds: the ground right under a body has .1 to .4 of what it has beside it, as in photographs."""
 
-IN_SIGHT, ENOUGH_PIXELS = 0.6, 0.0012
-"""Share of the frames in which an object's middle must be in the image and enough of it be seen, and how much is enough: a
-share of the image (69 of 57,600 pixels)."""
+MIN_SEEN_FRAME_SHARE, MIN_SEEN_AREA = 0.6, 0.0012
+"""Share of the frames in which an object's middle must be in the image and enough of it be seen, and how much is enough: a share
+of the image (69 of 57,600 pixels). Chosen by eye."""
 
 MAX_OBJECT_SHARE = 0.35
-"""Share of the image that an object may fill."""
+"""Share of the image that an object may fill. Chosen by eye."""
 
-GROUND_SEEN, GROUND_UNSEEN = 0.08, 0.004
-"""Share of the image that the ground fills at least where it is to be seen, and at most where not."""
+MIN_GROUND_AREA, MAX_HIDDEN_GROUND_AREA = 0.08, 0.004
+"""Share of the image that the ground fills at least where it is to be seen, and at most where not. Chosen by eye."""
 
-OTHER_STEPS = 0.1
-"""Share of the ground in sight that a second step fills at least, where there are steps."""
+MIN_SECOND_STEP_SHARE = 0.1
+"""Share of the ground in sight that a second step fills at least, where there are steps. Chosen by eye."""
 
 _CHECK_WIDTH, _CHECK_FRAMES = 80, 10
+"""Pixels of width of the small images that are looked at, and their number. Chosen by eye."""
 
 
 def draw_world(
@@ -71,11 +72,13 @@ def draw_world(
             "made: use a seed of 0 or more, 10 frames or more of 32x32 pixels or more, and a finite rate above 0."
         )
     plan = draw_plan(seed, dancers, crowd)
-    for attempt in range(ATTEMPTS):
+    for attempt in range(MAX_ATTEMPTS):
         world = _place(np.random.default_rng([seed, 2, attempt]), seed, plan, (width, height), frames, fps)
         if world is not None and _is_in_sight(world, plan):
             return world
-    raise InputError(f"The random world of seed {seed} has no place for its objects in {ATTEMPTS} attempts: choose another one.")
+    raise InputError(
+        f"The random world of seed {seed} has no place for its objects in {MAX_ATTEMPTS} attempts: choose another one."
+    )
 
 
 def _place(rng: np.random.Generator, seed: int, plan: WorldPlan, size: tuple[int, int], frames: int, fps: float) -> World | None:
@@ -107,11 +110,12 @@ def _place(rng: np.random.Generator, seed: int, plan: WorldPlan, size: tuple[int
     up = np.radians(rng.uniform(30, 65))
     around = rng.uniform(0, 2 * np.pi)
     direction = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
-    sun = rng.uniform(0.45, 0.85) if rng.random() < SUNNY else 0.0
+    sun = rng.uniform(0.45, 0.85) if rng.random() < SUN_SHARE else 0.0
     world = World(
         seed, *size, frames, fps, ground, plan.camera, scale.focal, path, tuple(static), tuple(objects),
-        Light(direction, sun, 1.0 - 0.55 * sun, OCCLUSION if plan.crowd else 0.0), rng.uniform(0.3, 0.6) if rng.random() < BLURRED
-        else 0.0, rng.uniform(1.0, 4.0) if rng.random() < NOISY else 0.4, (1, 2) if plan.pair == "touching" else None,
+        Light(direction, sun, 1.0 - 0.55 * sun, OCCLUSION if plan.crowd else 0.0), rng.uniform(0.3, 0.6) if rng.random() <
+        BLUR_SHARE
+        else 0.0, rng.uniform(1.0, 4.0) if rng.random() < NOISE_SHARE else 0.4, (1, 2) if plan.pair == "touching" else None,
     )  # fmt: skip
     if not are_apart(objects, times, plan.pair == "touching"):
         return None
@@ -137,9 +141,9 @@ def _is_in_sight(world: World, plan: WorldPlan) -> bool:
         tread = hits.part[ground] - 1
         treads += np.bincount(tread[hits.local[ground, 2] > boxes[tread] - 1e-4], minlength=count)
     seen = np.array(shares)
-    if (seen > MAX_OBJECT_SHARE).any() or (((seen > ENOUGH_PIXELS) & np.array(inside)).mean(0) < IN_SIGHT).any():
+    if (seen > MAX_OBJECT_SHARE).any() or (((seen > MIN_SEEN_AREA) & np.array(inside)).mean(0) < MIN_SEEN_FRAME_SHARE).any():
         return False
     treads = np.sort(treads) / (_CHECK_FRAMES * len(grid))
     if plan.ground == "none":
-        return bool(treads.sum() <= GROUND_UNSEEN)
-    return bool(treads.sum() >= GROUND_SEEN and (plan.ground != "steps" or treads[-2] >= OTHER_STEPS * treads.sum()))
+        return bool(treads.sum() <= MAX_HIDDEN_GROUND_AREA)
+    return bool(treads.sum() >= MIN_GROUND_AREA and (plan.ground != "steps" or treads[-2] >= MIN_SECOND_STEP_SHARE * treads.sum()))

@@ -9,7 +9,7 @@ import numpy as np
 from flowsplat.scenes.synthetic.worlds.animals import SHOULDER_HEIGHT, animal
 from flowsplat.scenes.synthetic.worlds.ground import WorldGround
 from flowsplat.scenes.synthetic.worlds.machines import (
-    STOPS,
+    STOPPING_SHARE,
     door,
     draw_rolling_ball,
     draw_way,
@@ -21,24 +21,25 @@ from flowsplat.scenes.synthetic.worlds.machines import (
 )
 from flowsplat.scenes.synthetic.worlds.materials import draw_material
 from flowsplat.scenes.synthetic.worlds.parts import Kind, WorldObject, WorldPart
-from flowsplat.scenes.synthetic.worlds.people import HEIGHT, walker
+from flowsplat.scenes.synthetic.worlds.people import WALKER_HEIGHT, walker
 from flowsplat_benchmarks.worlds.dancers import dancer
 from flowsplat_benchmarks.worlds.plan import WorldPlan
 
-APPARENT = (0.08, 0.7)
-"""Shares of the image's height between which objects are drawn."""
+HEIGHT_RANGE = (0.08, 0.7)
+"""Shares of the image's height between which objects are drawn. Chosen by eye."""
 
-DANCING = (0.5, 0.9)
-"""The same of dancers."""
+DANCER_HEIGHT_RANGE = (0.5, 0.9)
+"""The same of dancers. Chosen by eye."""
 
-CROWDED = (0.2, 0.7)
-"""The same in crowds."""
+CROWD_HEIGHT_RANGE = (0.2, 0.7)
+"""The same in crowds. Chosen by eye."""
 
-SATURATION, BRIGHTNESS = 0.1, (0.06, 0.5)
-"""Plain clothes of a crowd: the share of a color's saturation that is left at most, and between which brightness they lie."""
+CROWD_SATURATION, CROWD_BRIGHTNESS = 0.1, (0.06, 0.5)
+"""Plain clothes of a crowd: the share of a color's saturation that is left at most, and between which brightness they lie.
+Chosen by eye."""
 
 MIN_DISTANCE, MAX_DISTANCE = 1.4, 24.0
-"""Meters between which objects are drawn."""
+"""Meters between which objects are drawn. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class Scale:
     focal: float
     aspect: float
 
-    def distance(self, rng: np.random.Generator, size: float, apparent: tuple[float, float] = APPARENT) -> float:
+    def distance(self, rng: np.random.Generator, size: float, apparent: tuple[float, float] = HEIGHT_RANGE) -> float:
         """Meters at which something ``size`` meters tall has a random size in the image."""
         share = np.exp(rng.uniform(*np.log(apparent)))
         return float(np.clip(size * self.focal * self.aspect / share, MIN_DISTANCE, MAX_DISTANCE))
@@ -86,7 +87,7 @@ def _draw_crowd(
     objects = []
     for kind in kinds:
         towards = side + np.pi * (rng.random() < 0.5) + rng.uniform(-0.35, 0.35)
-        obj = _draw_object(rng, kind, scale, ground, duration, place + rng.normal() * 0.12, towards, CROWDED)
+        obj = _draw_object(rng, kind, scale, ground, duration, place + rng.normal() * 0.12, towards, CROWD_HEIGHT_RANGE)
         objects.append(_repaint(rng, obj, rich=False, dull=bool(rng.random() < 0.8)))
     return objects
 
@@ -109,17 +110,17 @@ def _draw_speed(rng: np.random.Generator, low: float, high: float, scale: Scale,
 
 def _draw_object(
     rng: np.random.Generator, kind: Kind, scale: Scale, ground: WorldGround, duration: float, place: float, heading: float,
-    apparent: tuple[float, float] = APPARENT,
+    apparent: tuple[float, float] = HEIGHT_RANGE,
 ) -> WorldObject:  # fmt: skip
     rich = bool(rng.random() < 0.6)
     if kind in ("walker", "carrier"):
         body = rng.uniform(0.6, 1.1)
-        distance = max(scale.distance(rng, body * HEIGHT, apparent), 2.2)
+        distance = max(scale.distance(rng, body * WALKER_HEIGHT, apparent), 2.2)
         speed = rng.uniform(0.7, 1.7) * np.sqrt(body)
         return walker(rng, ground, _spot(scale, place, distance), heading, body, speed, duration, rich, kind == "carrier")
     if kind == "dancer":
         size = rng.uniform(0.7, 1.1)
-        distance = max(scale.distance(rng, size * HEIGHT, DANCING), 2.2)
+        distance = max(scale.distance(rng, size * WALKER_HEIGHT, DANCER_HEIGHT_RANGE), 2.2)
         return dancer(rng, ground, _spot(scale, place, distance), rng.uniform(0, 2 * np.pi), size, rich)
     if kind == "animal":
         size = rng.uniform(0.6, 1.3)
@@ -130,7 +131,7 @@ def _draw_object(
         length = float(np.exp(rng.uniform(np.log(0.5), np.log(3.5))))
         distance = max(scale.distance(rng, 0.45 * length, apparent), 1.2 * length + 0.8)
         speed = _draw_speed(rng, 0.5 * length, 2 * length, scale, distance, duration)
-        way = draw_way(rng, speed, duration, bool(rng.random() < STOPS))
+        way = draw_way(rng, speed, duration, bool(rng.random() < STOPPING_SHARE))
         return vehicle(rng, ground, _spot(scale, place, distance), heading, length, way, rich)
     if kind == "door":
         size = rng.uniform(0.5, 1.05)
@@ -145,7 +146,7 @@ def _draw_object(
     distance = scale.distance(rng, 2 * radius)
     if kind == "rolling":
         speed = _draw_speed(rng, 0.4, 2.5, scale, distance, duration)
-        way = draw_way(rng, speed, duration, bool(rng.random() < STOPS))
+        way = draw_way(rng, speed, duration, bool(rng.random() < STOPPING_SHARE))
         return draw_rolling_ball(rng, ground, _spot(scale, place, distance), heading, radius, way, rich)
     if kind == "pendulum":
         return pendulum(rng, ground, _spot(scale, place, max(distance, 2.0)), rng.uniform(0, 2 * np.pi), radius, duration, rich)
@@ -185,7 +186,7 @@ def _draw_touching(
             draw_rolling_ball(rng, ground, at + gap * ahead, heading, radius, second, other_rich),
         ]
     body = rng.uniform(0.75, 1.1)
-    distance = max(scale.distance(rng, body * HEIGHT), 2.4)
+    distance = max(scale.distance(rng, body * WALKER_HEIGHT), 2.4)
     at, speed = _spot(scale, beside, distance), rng.uniform(0.7, 1.4)
     if kinds[1] == "walker":
         state = int(rng.integers(2**31))
@@ -228,5 +229,5 @@ def _repaint(rng: np.random.Generator, obj: WorldObject, rich: bool, dull: bool 
 def _draw_dull(rng: np.random.Generator, color: np.ndarray) -> np.ndarray:
     """Return a color [3] near to gray, of about the hue of ``color``."""
     gray = color.mean()
-    toned = gray + rng.uniform(0, SATURATION) * (color - gray)
-    return np.asarray(toned * rng.uniform(*BRIGHTNESS) / max(gray, 1e-3))
+    toned = gray + rng.uniform(0, CROWD_SATURATION) * (color - gray)
+    return np.asarray(toned * rng.uniform(*CROWD_BRIGHTNESS) / max(gray, 1e-3))

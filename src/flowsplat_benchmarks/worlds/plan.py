@@ -20,7 +20,7 @@ CROSSING: tuple[Kind, ...] = ("walker", "carrier", "vehicle", "rolling")
 CROWD: tuple[Kind, ...] = ("walker", "walker", "walker", "carrier", "vehicle", "animal")
 """What a crowd is drawn from: half of it walks with free hands, as on a street."""
 CROWD_SIZES = (3, 6)
-"""From how many to less than how many objects a crowd has."""
+"""From how many to less than how many objects a crowd has. Chosen by eye."""
 TOUCHING: tuple[tuple[Kind, Kind], ...] = (("walker", "walker"), ("walker", "vehicle"), ("rolling", "rolling"))
 
 

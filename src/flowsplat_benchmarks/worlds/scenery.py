@@ -12,8 +12,8 @@ from flowsplat_benchmarks.worlds.cameras import Stand
 from flowsplat_benchmarks.worlds.objects import Scale
 from flowsplat_benchmarks.worlds.plan import WorldPlan
 
-SKY = 90.0
-"""Meters to where the sky is painted."""
+SKY_DISTANCE = 90.0
+"""Meters to where the sky is painted. Chosen by eye."""
 
 
 def draw_ground(rng: np.random.Generator, kind: GroundKind, distance: float) -> WorldGround:
@@ -54,7 +54,7 @@ def draw_sky(rng: np.random.Generator) -> Placed:
     tone = rng.uniform(0.6, 0.95)
     sky[2:5] = tone * np.array([rng.uniform(0.65, 0.95), rng.uniform(0.8, 0.97), 1.0])
     sky[11], sky[12], sky[13] = rng.uniform(0.05, 0.25), rng.uniform(15, 40), 4
-    return Placed(WorldPart(ROOM, np.full(3, SKY), sky), np.eye(3), np.zeros(3))
+    return Placed(WorldPart(ROOM, np.full(3, SKY_DISTANCE), sky), np.eye(3), np.zeros(3))
 
 
 def draw_scenery(

@@ -62,7 +62,7 @@ def test_ablations_continue(runs_root, tmp_path, measured, capsys):
     each = [(scene, variant) for variant in ("full", "sh-0") for scene in ("bear_427", "tiny")]
     assert measured == [(*pair, seed) for seed in (0, 1) for pair in each]
     value = json.loads((tmp_path / "ablations_bear_427_sh-0_1500-steps_seed1.json").read_text())
-    assert (value["cap"], value["iterations"]) == (benchmark.CAP, benchmark.ITERATIONS)
+    assert (value["cap"], value["iterations"]) == (benchmark.MAX_GAUSSIANS, benchmark.ITERATIONS)
     call(*arguments)
     assert len(measured) == 8
     call(*arguments, "--iterations", "7", "--seeds", "0")
@@ -81,7 +81,7 @@ def test_ablations_continue(runs_root, tmp_path, measured, capsys):
 
 
 def test_caps_share_the_point_that_is_in_both_lines(runs_root, tmp_path, measured, capsys):
-    call("caps", runs_root, "-o", tmp_path, "--scenes", "bear", "--caps", "100", caps.CAP, "--steps", "50", caps.ITERATIONS)
+    call("caps", runs_root, "-o", tmp_path, "--scenes", "bear", "--caps", "100", caps.STEPS_CAP, "--steps", "50", caps.ITERATIONS)
     assert [variant for _, variant, _ in measured] == ["cap100", "cap200000", "cap200000"]
     assert len(list(tmp_path.glob("caps_bear_854_cap200000_*-steps_seed0.json"))) == 2
     assert (tmp_path / "caps_cap.svg").exists()
@@ -101,7 +101,7 @@ def test_results_of_other_settings_are_not_compared(runs_root, tmp_path, measure
 
 
 def test_sizes_are_not_mixed(runs_root, tmp_path, measured):
-    arguments = ("caps", runs_root, "-o", tmp_path, "--scenes", "bear", "--caps", "100", caps.CAP, "--steps", caps.ITERATIONS)
+    arguments = ("caps", runs_root, "-o", tmp_path, "--scenes", "bear", "--caps", "100", caps.STEPS_CAP, "--steps", caps.ITERATIONS)
     call(*arguments, "--size", "32")
     call(*arguments)
     text = (tmp_path / "caps.md").read_text()

@@ -69,7 +69,7 @@ def test_its_parts_measure_what_they_say(monkeypatch):
         assert set(row["stages"]) == {"cull", "slice", "project", "features", "blend"}
         peer = image.compare_with_gsplat(1)
         assert isinstance(peer, str) or peer["ratio"]["forward"] > 0
-    monkeypatch.setattr(frames, "TOTAL", 300)
+    monkeypatch.setattr(frames, "GAUSSIANS", 300)
     assert frames.growth((300,), 1)["300"]["active"] > 0
 
 
@@ -92,7 +92,7 @@ def test_a_part_that_fails_hangs_or_dies_costs_its_own_figures_and_no_others(tmp
     fake = tmp_path / "gpu.py"
     fake.write_text(FAKE, encoding="utf-8")
     monkeypatch.setattr(everything, "COMMAND", (str(fake),))
-    monkeypatch.setattr(everything, "GRACE", 0.2)
+    monkeypatch.setattr(everything, "GRACE_SECONDS", 0.2)
     parts = tuple(everything.GpuPart(name, weight, "") for name, weight in (("fails", 9), ("hangs", 1), ("dies", 9), ("works", 9)))
     monkeypatch.setattr(everything, "PARTS", parts)
     out = tmp_path / "out.json"
@@ -117,7 +117,7 @@ def test_limits_never_exceed_the_time_that_there_is():
     for index in range(len(everything.PARTS)):
         limit = everything.limit_of(index, left)
         assert 0 < limit <= left
-        left -= limit + everything.GRACE / len(everything.PARTS)
+        left -= limit + everything.GRACE_SECONDS / len(everything.PARTS)
     assert left > 0
     assert sum(limit for _, limit in everything.plan(8.0)) == pytest.approx(seconds)
 

@@ -15,7 +15,7 @@ from flowsplat.scenes.synthetic.worlds.parts import KINDS, WorldObject
 from flowsplat.scenes.synthetic.worlds.world import World
 from flowsplat_benchmarks.worlds import draw_plan, draw_world, read_objects, write_world
 from flowsplat_benchmarks.worlds.cameras import CAMERAS
-from flowsplat_benchmarks.worlds.drawing import GROUND_SEEN
+from flowsplat_benchmarks.worlds.drawing import MIN_GROUND_AREA
 from flowsplat_benchmarks.worlds.plan import CROWD, GROUNDS
 from tests.marks import slow
 
@@ -252,7 +252,7 @@ def test_objects_and_ground_are_in_sight_and_the_camera_is_free(seed):
     assert ((np.array(seen) > 5e-4).mean(0) >= 0.4).all()
     assert np.max(seen) < 0.5
     if plan.ground != "none":
-        assert np.mean(ground) > 0.9 * GROUND_SEEN
+        assert np.mean(ground) > 0.9 * MIN_GROUND_AREA
 
 
 def test_a_world_becomes_a_scene(tmp_path):

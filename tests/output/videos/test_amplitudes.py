@@ -12,7 +12,7 @@ import pytest
 from flowsplat.gaussians.visibility import ClipVisibility
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.output.videos import amplitudes
-from flowsplat.output.videos.amplitudes import ANGLES, DOLLIES, Amplitudes
+from flowsplat.output.videos.amplitudes import DOLLY_FACTORS, SWING_ANGLES, Amplitudes
 from tests.gaussians.test_visibility import WALL, WallAndBillboard, camera_at
 
 
@@ -26,8 +26,8 @@ def scene_of(reach: float) -> Any:
 def test_the_farther_the_camera_went_the_wider_the_loop():
     reaches = (0.0, 0.01, 0.05, 1.0)
     found = [Amplitudes(WallAndBillboard(billboard_depth=3.5), scene_of(reach), None).angle([0.5], "orbit") for reach in reaches]
-    assert found[0] == found[1] == min(ANGLES)
-    assert min(ANGLES) < found[2] < found[3]
+    assert found[0] == found[1] == min(SWING_ANGLES)
+    assert min(SWING_ANGLES) < found[2] < found[3]
 
 
 def test_loops_stay_away_from_what_moves(monkeypatch: pytest.MonkeyPatch):
@@ -43,17 +43,17 @@ def test_what_the_user_gave_is_taken():
     assert Amplitudes(WallAndBillboard(), scene_of(0.0), 25.0).angle([0.5], "orbit") == 25.0
 
 
-@pytest.mark.parametrize(("sigma", "widest"), [(0.05, 12.0), (0.24, 6.0), (1.0, min(ANGLES))])
+@pytest.mark.parametrize(("sigma", "widest"), [(0.05, 12.0), (0.24, 6.0), (1.0, min(SWING_ANGLES))])
 def test_objects_whose_distance_is_not_known_keep_loops_narrow(monkeypatch: pytest.MonkeyPatch, sigma: float, widest: float):
     """With a focal length of .78 widths 6 degrees move an object with sigma .24 by 2 % of the width."""
     objects = [SimpleNamespace(number=1, sigma=sigma), SimpleNamespace(number=2, sigma=9.0)]
     monkeypatch.setattr(amplitudes, "load_objects", lambda scene: SimpleNamespace(objects=objects))
     monkeypatch.setattr(amplitudes, "large_objects", lambda scene: {1})
-    monkeypatch.setattr(amplitudes, "MOST_UNKNOWN", 1.0)
+    monkeypatch.setattr(amplitudes, "MAX_UNKNOWN_SHARE", 1.0)
     assert Amplitudes(WallAndBillboard(billboard_depth=3.5), scene_of(1.0), None).angle([0.5], "orbit") == widest
 
 
 def test_dolly_zooms_go_as_far_as_the_clip_saw():
     far, still = (Amplitudes(WallAndBillboard(billboard_depth=3.5), scene_of(reach), None).dolly(0.5, 3.5) for reach in (1.0, 0.0))
-    assert far == max(DOLLIES)
-    assert still == min(DOLLIES)
+    assert far == max(DOLLY_FACTORS)
+    assert still == min(DOLLY_FACTORS)

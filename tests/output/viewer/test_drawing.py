@@ -12,7 +12,7 @@ from flowsplat.geometry import Camera
 from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.viewer.browser_frame import SCENE_DEPTH, BrowserFrame
 from flowsplat.output.viewer.drawing import Look, Wish, draw, draw_points
-from flowsplat.output.viewer.layout import BAR
+from flowsplat.output.viewer.layout import BAR_GRAY
 from flowsplat.output.viewer.source import Loaded, Source
 from flowsplat.output.viewer.trails import trails
 from flowsplat.scenes.layers import Tracks
@@ -41,9 +41,9 @@ def test_depth_is_told_in_the_world_of_the_browser(source):
 
 def test_bars_lie_where_the_clip_does_not(source):
     drawing = seen(source, (200, 96))
-    assert (drawing.image[:, :36] == BAR).all()
+    assert (drawing.image[:, :36] == BAR_GRAY).all()
     assert (drawing.depth[:, :36] > 100).all()
-    assert (drawing.image[:, 36:164] != BAR).any((0, 2)).all()
+    assert (drawing.image[:, 36:164] != BAR_GRAY).any((0, 2)).all()
     # The browser's camera fits to it: its focal length is that of the fitted image.
     assert 48 / np.tan(drawing.pose.fov / 2) == pytest.approx(128)
 
@@ -53,7 +53,7 @@ def test_a_free_camera_fills_the_canvas(source):
     pose = frame.pose(source.path.at(0.5))
     drawing = draw(source, frame, Wish((200, 96), 0.5, Look(), pose))
     assert drawing.pose is pose
-    assert (drawing.image[:, :36] != BAR).any()
+    assert (drawing.image[:, :36] != BAR_GRAY).any()
     middle = drawing.image[:, 36:164].astype(int)
     assert np.abs(middle - seen(source, (128, 96)).image).mean() < 3, "the same image with more at its sides"
 
@@ -183,5 +183,5 @@ def test_trails_go_where_the_object_goes(tmp_path):
 def test_a_portrait_clip(tmp_path):
     source = Source(tiny_run(tmp_path / "out", size=(36, 64)))
     drawing = seen(source, (128, 64))
-    assert (drawing.image[:, :46] == BAR).all()
+    assert (drawing.image[:, :46] == BAR_GRAY).all()
     assert np.abs(drawing.image[:, 46:82].astype(int) - source.frame(0.5)).mean() < 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flowsplat.output.viewer.layout import BAR, Box, empty, fit_box, halves, place, wipe
+from flowsplat.output.viewer.layout import BAR_GRAY, Box, empty, fit_box, halves, place, wipe
 
 
 @pytest.mark.parametrize(
@@ -25,8 +25,8 @@ def test_an_image_is_placed_and_the_rest_stays():
     canvas = empty((10, 6))
     place(canvas, np.full((4, 4, 3), 200, np.uint8), Box(2, 1, 3, 2))
     assert (canvas[1:3, 2:5] == 200).all()
-    canvas[1:3, 2:5] = BAR
-    assert (canvas == BAR).all()
+    canvas[1:3, 2:5] = BAR_GRAY
+    assert (canvas == BAR_GRAY).all()
 
 
 @pytest.mark.parametrize(("share", "columns"), [(0.0, 0), (0.5, 10), (1.0, 20), (7.0, 20)])

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from flowsplat.output.viewer.messages import MOST_UPLOAD, Gate
+from flowsplat.output.viewer.messages import MAX_UPLOAD_BYTES, Gate
 
 CAMERA: dict[str, Any] = {
     "type": "ViewerCameraMessage", "wxyz": [1.0, 0, 0, 0], "position": [0, 0, 1.5], "look_at": [0, 0, 0],
@@ -76,7 +76,9 @@ def test_text_frames_are_dropped():
     assert Gate().admit("{}") is None
 
 
-@pytest.mark.parametrize("change", [{"size_bytes": MOST_UPLOAD + 1}, {"size_bytes": -1}, {"part_count": 10**9}, {"size_bytes": 0}])
+@pytest.mark.parametrize(
+    "change", [{"size_bytes": MAX_UPLOAD_BYTES + 1}, {"size_bytes": -1}, {"part_count": 10**9}, {"size_bytes": 0}]
+)
 def test_too_large_an_upload_arrives_as_an_empty_file(change):
     gate = Gate()
     found = passed({**UPLOAD, **change}, gate)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from flowsplat.priors.cameras.selection import GRID, choose_tracks
+from flowsplat.priors.cameras.selection import CELL_GRID, choose_tracks
 from tests.priors.cameras.worlds import HEIGHT, WIDTH
 
 
@@ -14,5 +14,5 @@ def test_chosen_tracks_cover_the_image_and_prefer_long_ones():
     chosen = choose_tracks(positions, seen, WIDTH, HEIGHT, per_cell=4)
     assert lengths[chosen].min() >= 3
     assert lengths[chosen].mean() > 7
-    cell = (positions[chosen, 0] / [WIDTH, HEIGHT] * GRID).astype(int)
-    assert len(np.unique(cell, axis=0)) == GRID[0] * GRID[1]
+    cell = (positions[chosen, 0] / [WIDTH, HEIGHT] * CELL_GRID).astype(int)
+    assert len(np.unique(cell, axis=0)) == CELL_GRID[0] * CELL_GRID[1]

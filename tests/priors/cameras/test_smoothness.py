@@ -9,7 +9,7 @@ import pytest
 
 from flowsplat.geometry import Camera
 from flowsplat.priors.cameras import smoothness
-from flowsplat.priors.cameras.bundle import LENS, BundleObservations, LensPrior, Reconstruction, adjust, residuals
+from flowsplat.priors.cameras.bundle import LENS_PARAMETERS, BundleObservations, LensPrior, Reconstruction, adjust, residuals
 from flowsplat.priors.cameras.refinement import refine
 from flowsplat.priors.cameras.smoothness import MIN_FRAMES, SmoothnessPrior, differences, smooth_path
 from tests.priors.cameras.worlds import FOCAL, HEIGHT, WIDTH, centered, observed, path, state_of, world
@@ -58,7 +58,7 @@ def test_derivatives_are_those_of_the_differences():
 def test_the_prior_adds_the_gradient_of_its_cost():
     state, rng = state_of(shaken(path(6), 0.1), world(4)), np.random.default_rng(1)
     prior, shift = SmoothnessPrior(rng.uniform(1, 3, 3)), rng.normal(0, 1e-6, (6, 3))
-    H, g = np.zeros((36 + LENS, 36 + LENS)), np.zeros(36 + LENS)
+    H, g = np.zeros((36 + LENS_PARAMETERS, 36 + LENS_PARAMETERS)), np.zeros(36 + LENS_PARAMETERS)
     prior.add_to(H, g, state)
     there, back = (prior.compute_cost(replace(state, translations=state.translations + sign * shift)) for sign in (1, -1))
     step = np.zeros(36)

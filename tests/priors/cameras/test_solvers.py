@@ -44,7 +44,7 @@ def test_judges_are_no_tracks_of_the_adjustment_and_few_are_left_alone():
     used, kept = keep_back(seen)
     assert not set(used) & set(kept)
     assert sorted([*used, *kept]) == list(range(800))
-    assert seen[kept].sum(1).min() >= solvers.LEAST_VIEWS
+    assert seen[kept].sum(1).min() >= solvers.MIN_JUDGE_VIEWS
     assert len(keep_back(seen[:60])[1]) == 0
 
 

@@ -148,7 +148,7 @@ def test_what_leaves_the_image_is_not_seen_there(scene: Scene, tmp_path: Path):
 
 
 def test_of_very_many_tracks_an_even_choice_is_kept(scene: Scene, tmp_path: Path, monkeypatch):
-    monkeypatch.setattr("flowsplat.priors.given.tracks.MOST_TRACKS", 20)
+    monkeypatch.setattr("flowsplat.priors.given.tracks.MAX_TRACKS", 20)
     found = read_tracks(tapir(tmp_path), scene, None)
     assert len(found.points) == FRAMES * 3
     np.testing.assert_allclose(found.points[:3], pixels()[::3] + 0.5)

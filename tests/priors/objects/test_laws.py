@@ -9,7 +9,7 @@ import pytest
 
 from flowsplat.priors.objects import depth_trajectory
 from flowsplat.priors.objects.depth_trajectory import check_laws
-from flowsplat.priors.objects.path import LARGEST_FIT, Law, constant_height, pivot
+from flowsplat.priors.objects.path import MAX_REDUCED_CHI_SQUARE, Law, constant_height, pivot
 from tests.priors.objects.test_distance import UP, moving_scene
 
 GOOD = {
@@ -29,15 +29,15 @@ def told(monkeypatch, **changed: Law) -> set[str]:
 @pytest.mark.parametrize("name", ["pivot", "height"])
 def test_a_fit_above_the_noise_cannot_vouch_for_a_law(name, monkeypatch):
     assert told(monkeypatch) == {"pivot", "height"}
-    assert told(monkeypatch, **{name: replace(GOOD[name], fit=LARGEST_FIT)}) == {"pivot", "height"}
-    assert told(monkeypatch, **{name: replace(GOOD[name], fit=1.01 * LARGEST_FIT)}) == {"pivot", "height"} - {name}
+    assert told(monkeypatch, **{name: replace(GOOD[name], fit=MAX_REDUCED_CHI_SQUARE)}) == {"pivot", "height"}
+    assert told(monkeypatch, **{name: replace(GOOD[name], fit=1.01 * MAX_REDUCED_CHI_SQUARE)}) == {"pivot", "height"} - {name}
     assert told(monkeypatch, **{name: replace(GOOD[name], fit=np.nan)}) == {"pivot", "height"} - {name}
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_what_obeys_a_law_is_far_below_the_gate_and_what_hops_far_above(seed):
-    assert constant_height(moving_scene("rolling", seed)[0], UP).fit < LARGEST_FIT / 5
-    assert pivot(moving_scene("pendulum", seed)[0]).fit < LARGEST_FIT / 5
+    assert constant_height(moving_scene("rolling", seed)[0], UP).fit < MAX_REDUCED_CHI_SQUARE / 5
+    assert pivot(moving_scene("pendulum", seed)[0]).fit < MAX_REDUCED_CHI_SQUARE / 5
     hopping = moving_scene("hopping", seed)[0]
     assert not constant_height(hopping, UP).holds
     assert not pivot(hopping).holds

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from flowsplat.priors.tracks.following import LONGEST_GAP, Follower
+from flowsplat.priors.tracks.following import MAX_GAP, Follower
 from flowsplat.scenes import Flow
 
 from .textures import shifted, texture
@@ -63,7 +63,7 @@ def test_what_never_comes_back_is_given_up():
     y, x = np.mgrid[20:60:8, 20:80:8]
     start = np.stack([x.ravel(), y.ravel()], -1) + 0.5
     follower.add(np.arange(len(start)), start, image(0), labels)
-    for _ in range(LONGEST_GAP + 3):
+    for _ in range(MAX_GAP + 3):
         follower.step(COVER[: SIZE[0], : SIZE[1]], labels, flow)
     assert follower.seen.sum() <= 2
     follower.keep(np.zeros(0, int))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from flowsplat.priors.tracks.patches import SIDE, Patches, align
+from flowsplat.priors.tracks.patches import PATCH_SIDE, Patches, align
 
 from .textures import texture
 
@@ -50,7 +50,7 @@ def test_the_background_of_a_patch_does_not_count():
     labels[:, 73:] = 1
     patches, _ = some_patches(image, labels)
     edge = patches[np.array([4])]
-    assert edge.weights[0].reshape(SIDE, SIDE)[:, : SIDE // 2 - 2].sum() == 0
+    assert edge.weights[0].reshape(PATCH_SIDE, PATCH_SIDE)[:, : PATCH_SIDE // 2 - 2].sum() == 0
     assert abs(edge.weights[0].sum() - 1) < 1e-5
     hidden = np.where(labels > 0, image, behind).astype(np.float32)
     found, _, likeness = align(edge, hidden, CENTER[None] + 0.5, np.eye(2)[None])

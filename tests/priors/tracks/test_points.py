@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from flowsplat.priors.tracks import TrackTable, corner_strength, new_points, oldest_of_crowds, refine_points
-from flowsplat.priors.tracks.points import MUTED, detail
+from flowsplat.priors.tracks.points import COARSE_DAMPING, detail
 
 from .textures import shifted, texture
 
@@ -55,6 +55,6 @@ def test_shade_is_muted_and_detail_stays():
     found = detail(np.clip(shade + grain, 0, 255).astype(np.uint8))
     inner = (slice(20, -20), slice(20, -20))
     rise = found.mean(0)[100] - found.mean(0)[20]
-    assert abs(rise / (shade[0, 100] - shade[0, 20]) - (1 - MUTED)) < 0.05
+    assert abs(rise / (shade[0, 100] - shade[0, 20]) - (1 - COARSE_DAMPING)) < 0.05
     assert abs(np.abs(np.diff(found, axis=1))[inner].mean() / 40 - 1) < 0.05
     assert np.abs(detail(np.full((20, 30), 128, np.uint8)) - 128).max() < 1e-3

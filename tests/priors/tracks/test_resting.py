@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flowsplat.priors.prepare import use_truth
-from flowsplat.priors.tracks.resting import SUPPOSED, complete_resting
+from flowsplat.priors.tracks.resting import SUPPOSED_CONFIDENCE, complete_resting
 from flowsplat.scenes import Scene
 
 from ..planes import FRAMES, HEIGHT, SIDE, WIDTH, square_at, write_planes
@@ -49,8 +49,8 @@ def test_gaps_and_slips_are_mended(scene: Scene):
     found, sure = complete(scene, points, confidence, births)
     assert np.abs(found - true)[sure > 0].max() < 0.05
     assert (sure > 0).all()
-    np.testing.assert_allclose(sure[0, 6:9], SUPPOSED)
-    np.testing.assert_allclose(sure[1, 8:], SUPPOSED)
+    np.testing.assert_allclose(sure[0, 6:9], SUPPOSED_CONFIDENCE)
+    np.testing.assert_allclose(sure[1, 8:], SUPPOSED_CONFIDENCE)
     np.testing.assert_array_equal(sure[2], confidence[2])
 
 

@@ -12,8 +12,8 @@ from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.formats.video import open_video
 from flowsplat.scenes.formats.video_color import (
     BT709,
+    HIGHLIGHT_KNEE,
     HLG,
-    KNEE,
     PQ,
     UNSPECIFIED,
     VideoColors,
@@ -111,7 +111,7 @@ def test_highlights():
     out = compress_highlights(light)
     assert out.max() <= 1
     assert np.diff(out, axis=0).min() > -1e-6
-    np.testing.assert_array_equal(out[light[:, 0] <= KNEE], light[light[:, 0] <= KNEE])
+    np.testing.assert_array_equal(out[light[:, 0] <= HIGHLIGHT_KNEE], light[light[:, 0] <= HIGHLIGHT_KNEE])
     np.testing.assert_allclose(out[1:, 1] / out[1:, 0], 0.5, rtol=1e-5)
 
 

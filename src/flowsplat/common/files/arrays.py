@@ -23,15 +23,17 @@ from flowsplat.common.files.opening import ordinary_file
 from flowsplat.common.syntax import PARSING
 
 MAX_ARRAY_BYTES = 96 * 2**20
-"""Of the arrays that are read from one file, where the caller does not know better."""
+"""Of the arrays that are read from one file, where the caller does not know better. Chosen by eye."""
 _KINDS = "biuf"
 """Truth values, whole numbers and floats: everything else needs pickle, or is not used by any format."""
 _PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)
 """How NumPy and rig scenes pack."""
-_MOST_MEMBERS = 4096
-_MOST_DIRECTORY = 2**20
-"""Bytes of a zip's directory."""
-_LARGEST_AXIS = 2**31
+_MAX_ZIP_MEMBERS = 4096
+"""Files in a zip, at most. A round number, against archives made to exhaust memory."""
+_MAX_ZIP_DIRECTORY_BYTES = 2**20
+"""Bytes of a zip's directory. Chosen by eye."""
+_MAX_AXIS_LENGTH = 2**31
+"""Length of one axis of an array, at most (exclusive): what a signed 32-bit index reaches."""
 _BOM = b"\x93NUMPY"
 
 
@@ -87,7 +89,7 @@ def _check_directory(path: Path, file: IO[bytes]) -> None:
     if at < 0 or len(tail) < at + 22:
         raise InputError(f"{path} is damaged or truncated: it is no zip file.")
     members, bytes_of_directory = (int.from_bytes(tail[at + a : at + b], "little") for a, b in ((10, 12), (12, 16)))
-    if members > _MOST_MEMBERS or bytes_of_directory > _MOST_DIRECTORY or tail[max(at - 20, 0) :][:4] == b"PK\x06\x07":
+    if members > _MAX_ZIP_MEMBERS or bytes_of_directory > _MAX_ZIP_DIRECTORY_BYTES or tail[max(at - 20, 0) :][:4] == b"PK\x06\x07":
         raise InputError(f"{path} is damaged: it lists more arrays than such a file can hold.")
     file.seek(0)
 
@@ -158,7 +160,7 @@ def _read_array(where: str, file: _Readable, size: int, most: int) -> np.ndarray
         shape, is_fortran, dtype = read(header)
     if dtype.hasobject or dtype.kind not in _KINDS or dtype.names is not None:
         raise InputError(f"{where} holds {dtype} and not numbers.")
-    if not all(0 <= axis < _LARGEST_AXIS for axis in shape) or len(shape) > 8:
+    if not all(0 <= axis < _MAX_AXIS_LENGTH for axis in shape) or len(shape) > 8:
         raise InputError(f"{where} is damaged: it has shape {shape!s:.100}.")
     needed = math.prod(shape) * dtype.itemsize
     if needed > most:

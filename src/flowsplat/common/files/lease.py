@@ -33,13 +33,14 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 NAME = ".lock"
-_MOST_HOLDER = 1000
-"""Bytes of the file."""
+_MAX_HOLDER_BYTES = 1000
+"""Bytes of the file. Chosen by eye."""
 
 BEAT_SECONDS = 15.0
-"""Seconds between two signs of life of who holds a claim."""
+"""Seconds between two signs of life of who holds a claim. Chosen by eye."""
 DEAD_SECONDS = 120.0
-"""Seconds without one after which a holder on another machine counts as dead; on its own it is asked for by its number."""
+"""Seconds without one after which a holder on another machine counts as dead; on its own it is asked for by its number.
+Chosen by eye."""
 
 _held: dict[tuple[int, int], int] = {}
 """How often this process has taken what it holds, by device and number of the folder."""
@@ -93,7 +94,7 @@ def holder(folder: Path) -> str | None:
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except OSError:
-            return _decode_holder(os.read(file, _MOST_HOLDER))
+            return _decode_holder(os.read(file, _MAX_HOLDER_BYTES))
         return None
     finally:
         os.close(file)
@@ -115,7 +116,7 @@ def _take(folder: Path) -> int | None:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            who = _decode_holder(os.read(file, _MOST_HOLDER))
+            who = _decode_holder(os.read(file, _MAX_HOLDER_BYTES))
             os.close(file)
             raise InUseError(f"{folder} is being written by {who}: wait for it, or stop it.") from error
         except OSError:  # a file system without locks
@@ -255,7 +256,7 @@ class Claims:
     def who(self, name: str, number: int) -> str:
         """Return the holder of an attempt, in words."""
         try:
-            return _decode_holder(self._path(name, number).read_bytes()[:_MOST_HOLDER])
+            return _decode_holder(self._path(name, number).read_bytes()[:_MAX_HOLDER_BYTES])
         except OSError:
             return "another process"
 
@@ -272,7 +273,7 @@ class Claims:
         """Return what stands in the file of an attempt, which does not change once it stands there."""
         if (name, number) not in self._known:
             try:
-                value = json.loads(self._path(name, number).read_bytes()[:_MOST_HOLDER])
+                value = json.loads(self._path(name, number).read_bytes()[:_MAX_HOLDER_BYTES])
             except (OSError, ValueError, RecursionError):
                 return {}
             if not isinstance(value, dict):
@@ -284,7 +285,7 @@ class Claims:
         if self._path(name, number + 1).exists():
             return False
         try:
-            value = json.loads(self._path(name, number).read_bytes()[:_MOST_HOLDER])
+            value = json.loads(self._path(name, number).read_bytes()[:_MAX_HOLDER_BYTES])
         except (OSError, ValueError, RecursionError):
             return False
         return isinstance(value, dict) and value.get("token") == self._token

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from flowsplat.common.errors import InputError
 
-MOST_TEXT = 64 * 2**20
-"""Bytes of a text file."""
+MAX_TEXT_BYTES = 64 * 2**20
+"""Bytes of a text file. Chosen by eye."""
 
 _KINDS = {
     stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device",
@@ -38,7 +38,7 @@ def ordinary_file(path: Path, most: int | None = None) -> int:
     return found.st_size
 
 
-def read_bytes(path: Path, most: int = MOST_TEXT) -> bytes:
+def read_bytes(path: Path, most: int = MAX_TEXT_BYTES) -> bytes:
     """Return all of a file, see ``ordinary_file``.
 
     Raises:
@@ -58,7 +58,7 @@ def read_bytes(path: Path, most: int = MOST_TEXT) -> bytes:
     return data
 
 
-def read_text(path: Path, most: int = MOST_TEXT) -> str:
+def read_text(path: Path, most: int = MAX_TEXT_BYTES) -> str:
     """Return all of a file of UTF-8.
 
     Raises:

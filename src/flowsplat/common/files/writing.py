@@ -19,8 +19,8 @@ from flowsplat.common.errors import InputError, WritingError
 from flowsplat.common.files.opening import ordinary_file
 
 _PARTIAL = re.compile(r"\..+\.([0-9]{1,9})\.partial(\.[^.]+)?")
-_EDGE = 65536
-"""Bytes at both ends of a file that enter its hash."""
+_HASHED_EDGE_BYTES = 65536
+"""Bytes at both ends of a file that enter its hash. Chosen by eye."""
 
 
 @contextlib.contextmanager
@@ -131,9 +131,9 @@ def hash_files(start: str, files: Iterable[tuple[str, Path]], whole: bool = Fals
         try:
             digest.update(f"\n{name} {size} ".encode())
             with open(file, "rb") as opened:
-                digest.update(opened.read(size if whole else _EDGE))
-                opened.seek(max(size - _EDGE, 0))
-                digest.update(opened.read(_EDGE))
+                digest.update(opened.read(size if whole else _HASHED_EDGE_BYTES))
+                opened.seek(max(size - _HASHED_EDGE_BYTES, 0))
+                digest.update(opened.read(_HASHED_EDGE_BYTES))
         except OSError as error:
             raise InputError(f"{file} cannot be read: {error.strerror}.") from error
     return digest.hexdigest()[:16]

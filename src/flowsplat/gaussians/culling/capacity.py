@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 GRANULE = 1024
+"""Gaussians: capacities are multiples of this, so that buffers change rarely. Chosen by eye."""
 
 
 class RowCapacity:

@@ -16,7 +16,12 @@ from flowsplat.geometry import Camera
 from flowsplat.splatting.rules import TANGENT_MARGIN
 
 CHUNKS = 64
-CULL_SIGMAS, BLUR, CULL_MARGIN = np.float32(reference.CULL_SIGMAS), np.float32(reference.BLUR), np.float32(TANGENT_MARGIN)
+"""Ranges into which Gaussians are cut, whatever the number of threads."""
+CULL_SIGMAS, BLUR_RADIUS, CULL_MARGIN = (
+    np.float32(reference.CULL_SIGMAS),
+    np.float32(reference.BLUR_SIGMA),
+    np.float32(TANGENT_MARGIN),
+)
 ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
 
 
@@ -25,7 +30,7 @@ def _outside(position, size, center, limit, focal, inverse, image):
     """Whether a Gaussian ends before the image on one axis; its 2D sigma is at most focal / z |(1, t)| size + blur."""
     tangent = position * inverse
     clamped = min(max(tangent, -limit), limit)
-    reach = CULL_SIGMAS * (focal * inverse * size * math.sqrt(ONE + clamped * clamped) + BLUR)
+    reach = CULL_SIGMAS * (focal * inverse * size * math.sqrt(ONE + clamped * clamped) + BLUR_RADIUS)
     pixel = focal * tangent + center
     return (pixel + reach < ZERO) or (pixel - reach > image)
 

@@ -11,7 +11,7 @@ from flowsplat.splatting.rules import TANGENT_MARGIN
 
 CULL_SIGMAS = 3.34
 """More sigmas than the rasterizer ever draws: sqrt(-2 ln ``ALPHA_MIN``) = 3.33."""
-BLUR = 0.55
+BLUR_SIGMA = 0.55
 """More than the standard deviation of the rasterizer's blur in pixels, sqrt(``EPS2D``) = 0.548."""
 
 
@@ -39,7 +39,7 @@ def _may_be_seen(means: Tensor, sizes: Tensor, camera: Camera, near: float) -> T
         limit = torch.maximum(image - center, center) / focal + TANGENT_MARGIN * image / focal
         tangent = points[:, axis] / depth
         held = torch.minimum(torch.maximum(tangent, -limit), limit)
-        reach = CULL_SIGMAS * (focal / depth * sizes * torch.sqrt(1 + held * held) + BLUR)
+        reach = CULL_SIGMAS * (focal / depth * sizes * torch.sqrt(1 + held * held) + BLUR_SIGMA)
         pixel = focal * tangent + center
         seen = seen & (pixel + reach >= 0) & (pixel - reach <= image)
     return seen

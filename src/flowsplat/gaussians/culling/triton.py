@@ -20,7 +20,12 @@ from flowsplat.geometry import Camera
 from flowsplat.splatting.rules import TANGENT_MARGIN
 
 BLOCK = 1024
-CULL_SIGMAS, BLUR, CULL_MARGIN = tl.constexpr(reference.CULL_SIGMAS), tl.constexpr(reference.BLUR), tl.constexpr(TANGENT_MARGIN)
+"""Gaussians of one program. A power of two, as Triton asks."""
+CULL_SIGMAS, BLUR_RADIUS, CULL_MARGIN = (
+    tl.constexpr(reference.CULL_SIGMAS),
+    tl.constexpr(reference.BLUR_SIGMA),
+    tl.constexpr(TANGENT_MARGIN),
+)
 
 
 @triton.jit
@@ -29,7 +34,7 @@ def _reaches(position, size, center, focal, inverse, image):
     limit = tl.maximum(image - center, center) / focal + image * CULL_MARGIN / focal
     tangent = position * inverse
     held = tl.minimum(tl.maximum(tangent, -limit), limit)
-    reach = (focal * inverse * size * tl.sqrt(1.0 + held * held) + BLUR) * CULL_SIGMAS
+    reach = (focal * inverse * size * tl.sqrt(1.0 + held * held) + BLUR_RADIUS) * CULL_SIGMAS
     pixel = focal * tangent + center
     return (pixel + reach >= 0.0) & (pixel - reach <= image)
 

@@ -16,7 +16,8 @@ from flowsplat.splatting.rules import EPS2D
 FlowModel = Literal["mean", "displacement", "affine"]
 
 FLOW_NEAR_PLANE = 0.05
-"""Planar depth (median depth = 1) below which a Gaussian is behind or grazing the other camera and contributes no flow."""
+"""Planar depth (median depth = 1) below which a Gaussian is behind or grazing the other camera and contributes no flow.
+Chosen by eye."""
 
 
 def flow_channels(model: FlowModel) -> int:

@@ -20,6 +20,7 @@ from flowsplat.splatting.cpu.harmonics import basis_of, color_of
 
 ONE, ZERO, HALF = np.float32(1), np.float32(0), np.float32(0.5)
 CHUNKS = 64
+"""Ranges into which Gaussians are cut, whatever the number of threads."""
 
 
 @helper

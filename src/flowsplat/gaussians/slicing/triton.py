@@ -23,6 +23,7 @@ from flowsplat.gaussians.slicing.api import NAMES, Gradients, Slice
 from flowsplat.splatting.rules import C0, C1, C2, C3
 
 BLOCK = 128
+"""Gaussians of one program. A power of two, as Triton asks."""
 
 S0, S1 = tl.constexpr(C0), tl.constexpr(C1)
 S20, S21, S22, S23, S24 = (tl.constexpr(c) for c in C2)

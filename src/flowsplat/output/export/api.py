@@ -33,7 +33,7 @@ _CAMERAS = ("colmap", "nerfstudio")
 _SEQUENCE_FILE = re.compile(r"frame\d{4,}\.ply")
 _PAGE_BYTES = 150_000
 """The player without its scene: program, poster, camera path."""
-_ZIPPED = 0.6
+_SPZ_GZIP_RATIO = 0.6
 """What gzip leaves of the bytes of an spz, as measured on trained scenes."""
 
 
@@ -81,7 +81,7 @@ def estimate_size(model: SceneModel, scene: Scene, to: str, options: ExportOptio
         "ply": lambda: record * active,
         "ply-sequence": lambda: record * sum(model.active_count(float(t)) for t in scene.timestamps),
         "splat": lambda: RECORD.itemsize * active,
-        "spz": lambda: round(_ZIPPED * bytes_per_gaussian(harmonics) * active),
+        "spz": lambda: round(_SPZ_GZIP_RATIO * bytes_per_gaussian(harmonics) * active),
         "colmap": lambda: 150 * scene.num_frames + 40 * min(active, 100_000),
         "nerfstudio": lambda: 700 * scene.num_frames,
     }

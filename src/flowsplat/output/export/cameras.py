@@ -18,7 +18,8 @@ from flowsplat.geometry.rotations import rotations_to_quats
 from flowsplat.output.export.still import Still
 from flowsplat.scenes import Scene
 
-MOST_POINTS = 100_000
+MAX_POINTS = 100_000
+"""Points that are written, at most, evenly chosen. A round number."""
 
 
 def frame_names(scene: Scene) -> list[str]:
@@ -48,7 +49,7 @@ def write_colmap(folder: Path, scene: Scene, points: Still) -> None:
         images.append(f"{number} {pose} {lens} {name}\n\n")
     write_text(folder / "cameras.txt", "".join(f"{number} {lens}\n" for lens, number in lenses.items()))
     write_text(folder / "images.txt", "".join(images))
-    chosen = slice(None, None, -(-len(points.means) // MOST_POINTS) or 1)
+    chosen = slice(None, None, -(-len(points.means) // MAX_POINTS) or 1)
     means, colors = points.means[chosen].numpy(), np.rint(255 * points.colors[chosen].numpy()).astype(int)
     lines = [
         f"{k} {x:.6g} {y:.6g} {z:.6g} {r} {g} {b} 0\n"

@@ -16,7 +16,7 @@ from flowsplat.gaussians.slicing import slice_gaussians
 from flowsplat.geometry import Camera
 from flowsplat.splatting import blend, project
 
-MOST_VIEWS = 48
+MAX_VIEWS = 48
 """Training frames that are looked at; more of them change nothing that can be seen."""
 
 
@@ -30,7 +30,7 @@ def choose_most_important(model: SceneModel, views: Sequence[tuple[Camera, float
     """
     if count >= len(model.gaussians):
         return model
-    chosen = spread(len(views), MOST_VIEWS)
+    chosen = spread(len(views), MAX_VIEWS)
     inner = [(model.similarity.camera(views[k][0]), model.clip_time(views[k][1])) for k in chosen]
     weights = sum_blending_weights(model.gaussians, inner)
     rows = torch.argsort(weights, descending=True, stable=True)[:count].sort().values

@@ -26,9 +26,11 @@ from flowsplat.common.files import write_bytes
 from flowsplat.output.export.still import Still
 
 _MAGIC, _VERSION = 0x5053474E, 3
+"""First four bytes ("NGSP") and version of a file, as in Niantic's format spz."""
 _FRACTION_BITS = 16
 """Bits behind the point of a position at most: a step of 1/65536 of a unit, within 128 units of the middle."""
 _COLOR_SCALE = 0.15
+"""Factor on degree 0 of the harmonics before they become bytes, as in Niantic's format spz."""
 
 
 def bytes_per_gaussian(harmonics: int) -> int:

@@ -17,9 +17,9 @@ from flowsplat.output.videos.plans import subject_distance
 from flowsplat.output.videos.stabilized import stabilize
 
 PATH_SAMPLES = 4
-"""Cameras a frame of a path; the player interpolates linearly between them."""
-_SUBJECTS = 17
-"""Times of the clip at which the distance of what moves is looked at."""
+"""Cameras a frame of a path; the player interpolates linearly between them. Chosen by eye."""
+_SUBJECT_TIMES = 17
+"""Times of the clip at which the distance of what moves is looked at. Chosen by eye."""
 
 
 def camera_paths(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -> dict[str, Any]:
@@ -63,5 +63,5 @@ def sample_path(model: SceneModel, times: Sequence[float], cameras: Sequence[Cam
 
 def _subject_depths(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -> list[float]:
     path, scale = CameraPath(times, cameras), model.similarity.scale
-    probes = np.linspace(times[0], times[-1], _SUBJECTS)
+    probes = np.linspace(times[0], times[-1], _SUBJECT_TIMES)
     return [round(scale * subject_distance(model, path.at(float(t)), float(t), 1 / scale), 5) for t in probes]

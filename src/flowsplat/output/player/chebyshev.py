@@ -17,13 +17,13 @@ from flowsplat.common.errors import InputError
 from flowsplat.gaussians.gaussians4d import Gaussians4D
 from flowsplat.geometry.rotations import normalize_quats, principal_axes
 
-NODES = 12
-"""Times at which the motion is looked at; the degree of a series stays below."""
-FLATTEST = math.log(1e-3)
+TIME_NODES = 12
+"""Times at which the motion is looked at; the degree of a series stays below. Chosen by eye."""
+MIN_LOG_PRECISION = math.log(1e-3)
 """Log precision below which p(t) is 1 everywhere in the clip, to within 0.001."""
 _CHANGING = "A motion model whose Gaussians change their shape in time cannot be put into the player."
 _WITHIN_TOLERANCE = 0.999
-"""Share of the Gaussians whose series keep the tolerance."""
+"""Share of the Gaussians whose series keep the tolerance. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def fit_motion(
     """
     params = {name: value[rows] for name, value in gaussians.params.items()}
     middle, half = visible_interval(times, log_lambdas, gaussians.config.p_min)
-    nodes = torch.cos(math.pi * (torch.arange(NODES, dtype=torch.float64) + 0.5) / NODES)
+    nodes = torch.cos(math.pi * (torch.arange(TIME_NODES, dtype=torch.float64) + 0.5) / TIME_NODES)
     # Any model can be asked for one time only: every Gaussian is moved so that its own time becomes 0.
     states = [gaussians.motion.state({**params, "times": params["times"] - (middle + half * float(node))}, 0.0) for node in nodes]
     means = torch.stack([state.means for state in states], 1)
@@ -83,7 +83,7 @@ def fit_motion(
         if not torch.allclose(covars[:, :1].expand_as(covars), covars, rtol=1e-3, atol=1e-9):
             raise InputError(_CHANGING)
         quats, log_scales = principal_axes(covars[:, 0])
-        quats = quats[:, None].expand(-1, NODES, -1)
+        quats = quats[:, None].expand(-1, TIME_NODES, -1)
     else:
         quats = torch.stack([normalize_quats(state.quats) for state in states if state.quats is not None], 1)
         scales = torch.stack([state.scales for state in states if state.scales is not None], 1)
@@ -93,21 +93,21 @@ def fit_motion(
         log_scales = torch.log(scales[:, 0]) if kept is None else kept
     # q and -q are one rotation, and the same one is to be stored for all that look alike. In time q is continuous: no node is
     # turned alone, for then a turn of more than half a circle would jump.
-    reference = quats[:, NODES // 2]
+    reference = quats[:, TIME_NODES // 2]
     largest = torch.gather(reference, 1, reference.abs().argmax(1, keepdim=True))
     quats = quats * torch.where(largest < 0, -1.0, 1.0)[:, None]
     return ChebyshevMotion(times, log_lambdas, _fit(means, nodes, mean_tolerance), _fit(quats, nodes, quat_tolerance), log_scales)
 
 
 def _fit(values: Tensor, nodes: Tensor, tolerance: float) -> Tensor:
-    """Fit values [M, NODES, C] at the nodes to coefficients [M, degree + 1, C] of the lowest degree that keeps the tolerance."""
-    degrees = torch.arange(NODES, dtype=torch.float64)
-    basis = torch.cos(degrees[None] * torch.arccos(nodes)[:, None])  # [NODES, NODES], T_k at the nodes
-    weights = basis * torch.where(degrees == 0, 1.0, 2.0) / NODES
+    """Fit values [M, ``TIME_NODES``, C] to coefficients [M, degree + 1, C] of the lowest degree that keeps the tolerance."""
+    degrees = torch.arange(TIME_NODES, dtype=torch.float64)
+    basis = torch.cos(degrees[None] * torch.arccos(nodes)[:, None])  # [TIME_NODES, TIME_NODES], T_k at the nodes
+    weights = basis * torch.where(degrees == 0, 1.0, 2.0) / TIME_NODES
     coefficients = torch.einsum("jk,mjc->mkc", weights.to(values), values)
     if not len(values):
         return coefficients[:, :1]
-    for degree in range(NODES):
+    for degree in range(TIME_NODES):
         error = (torch.einsum("jk,mkc->mjc", basis[:, : degree + 1].to(values), coefficients[:, : degree + 1]) - values).abs()
         worst = error.flatten(1).amax(1)
         if float(worst.kthvalue(max(math.ceil(_WITHIN_TOLERANCE * len(worst)), 1)).values) <= tolerance:

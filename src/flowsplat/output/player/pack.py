@@ -15,13 +15,13 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from flowsplat.gaussians.confidence_fade import ALL_AROUND, LEAST_REACH, reach
+from flowsplat.gaussians.confidence_fade import MAX_DIRECTION_DIFFERENCE, MIN_FADE_REACH, reach
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.render import FILLED_FROM, FILLED_TO
 from flowsplat.geometry import Camera
 from flowsplat.geometry.rotations import normalize_quats, principal_axes
-from flowsplat.output.player.chebyshev import FLATTEST, ChebyshevMotion, find_seen_in_clip, fit_motion
+from flowsplat.output.player.chebyshev import MIN_LOG_PRECISION, ChebyshevMotion, find_seen_in_clip, fit_motion
 from flowsplat.output.player.quantization import (
     QuantizedArray,
     quantize,
@@ -33,15 +33,16 @@ from flowsplat.splatting.harmonics import harmonics_count
 from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, EPS2D
 
 VERSION = 1
-CHUNK = 256
-"""Gaussians that share a box of positions."""
+CHUNK_GAUSSIANS = 256
+"""Gaussians that share a box of positions. Chosen by eye."""
 PIXEL_TOLERANCE = 1 / 32
-"""Pixels of the clip by which rounding may move a Gaussian."""
+"""Pixels of the clip by which rounding may move a Gaussian. Chosen by eye."""
 QUAT_TOLERANCE = 0.004
 """Largest error of the series of a unit quaternion: half a degree."""
-SWING, DOLLY = 6.0, 1.5
-"""Where it is not known how far the clip tells."""
-_SMALLEST_SCALE, _LARGEST_SCALE = 1e-5, 1e2
+DEFAULT_SWING, DEFAULT_DOLLY = 6.0, 1.5
+"""Where it is not known how far the clip tells. Chosen by eye."""
+_MIN_SCALE, _MAX_SCALE = 1e-5, 1e2
+"""Median depths between which the scales of Gaussians are kept, so that their logarithms fit the steps. Round numbers."""
 _MAX_LOG_LAMBDA = 18.0
 """Log precision beyond which a Gaussian is seen for less than a ten-thousandth of the clip."""
 
@@ -60,7 +61,11 @@ class Packed:
 
 
 def pack(
-    model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], title: str, widths: tuple[float, float] = (SWING, DOLLY)
+    model: SceneModel,
+    times: Sequence[float],
+    cameras: Sequence[Camera],
+    title: str,
+    widths: tuple[float, float] = (DEFAULT_SWING, DEFAULT_DOLLY),
 ) -> Packed:
     """Round and compress a scene.
 
@@ -106,7 +111,7 @@ def _arrays(gaussians: Gaussians4D, resting: int, resolution: np.ndarray) -> lis
     params, degree = gaussians.params, gaussians.sh_degree
     moving = torch.arange(resting, len(gaussians))
     times = quantize_to_range("times", _column(params["times"][moving]), 16, tail=0)
-    precisions = gaussians.motion.log_precision(params)[moving].clamp(FLATTEST, _MAX_LOG_LAMBDA)
+    precisions = gaussians.motion.log_precision(params)[moving].clamp(MIN_LOG_PRECISION, _MAX_LOG_LAMBDA)
     log_lambdas = quantize_to_range("logLambdas", _column(precisions), 16, tail=0)
     step = float(np.quantile(resolution, 0.1)) if len(resolution) else 1.0
     motion = fit_motion(
@@ -116,10 +121,10 @@ def _arrays(gaussians: Gaussians4D, resting: int, resolution: np.ndarray) -> lis
     rest_quats, rest_scales = _at_rest(gaussians, resting)
     means = torch.cat([params["means"][:resting], motion.means[:, 0]])
     quats = torch.cat([rest_quats, motion.quats[:, 0]])
-    log_scales = torch.cat([rest_scales, motion.log_scales]).clamp(np.log(_SMALLEST_SCALE), np.log(_LARGEST_SCALE))
+    log_scales = torch.cat([rest_scales, motion.log_scales]).clamp(np.log(_MIN_SCALE), np.log(_MAX_SCALE))
     sh = params["sh"][:, : harmonics_count(degree)].numpy()
     arrays = [
-        quantize_in_chunks("means", means.numpy(), resolution, CHUNK),
+        quantize_in_chunks("means", means.numpy(), resolution, CHUNK_GAUSSIANS),
         quantize("quats", quats.numpy(), 8, -1.0, 1.0),
         quantize_to_range("logScales", log_scales.numpy(), 8, tail=0),
         quantize("opacities", _column(torch.sigmoid(params["logit_opacities"])), 8, 0.0, 1.0),
@@ -132,8 +137,8 @@ def _arrays(gaussians: Gaussians4D, resting: int, resolution: np.ndarray) -> lis
     if gaussians.object_ids.any():
         arrays.append(quantize("object_ids", _column(gaussians.object_ids), 8, 0.0, 255.0))
     if gaussians.seen is not None:
-        reaches = torch.log(reach(gaussians.seen[:resting])).clamp(np.log(LEAST_REACH), np.log(ALL_AROUND))
-        arrays.append(quantize("logReaches", _column(reaches), 8, np.log(LEAST_REACH), np.log(ALL_AROUND)))
+        reaches = torch.log(reach(gaussians.seen[:resting])).clamp(np.log(MIN_FADE_REACH), np.log(MAX_DIRECTION_DIFFERENCE))
+        arrays.append(quantize("logReaches", _column(reaches), 8, np.log(MIN_FADE_REACH), np.log(MAX_DIRECTION_DIFFERENCE)))
     return [*arrays, times, log_lambdas, *_motion_arrays(motion, step)]
 
 
@@ -141,7 +146,7 @@ def _motion_arrays(motion: ChebyshevMotion, step: float) -> list[QuantizedArray]
     means, quats = motion.means[:, 1:], motion.quats[:, 1:]
     return [
         # In boxes, too: what crosses the image between two frames goes further than 16 bits of such steps.
-        quantize_in_chunks("meanCoefficients", means.flatten(1).numpy(), np.full(len(means), step), CHUNK),
+        quantize_in_chunks("meanCoefficients", means.flatten(1).numpy(), np.full(len(means), step), CHUNK_GAUSSIANS),
         quantize_to_step("quatCoefficients", quats.flatten(1).numpy(), QUAT_TOLERANCE),
     ]
 

@@ -20,7 +20,7 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Camera
 from flowsplat.images.html import data_uri
 from flowsplat.output.player.camera_paths import camera_paths
-from flowsplat.output.player.pack import DOLLY, SWING, pack
+from flowsplat.output.player.pack import DEFAULT_DOLLY, DEFAULT_SWING, pack
 
 SCRIPTS = ("scene.js", "cameras.js", "camera_loops.js", "sorter.js", "renderer.js", "controls.js", "main.js")
 """In the order in which they stand in the page."""
@@ -28,11 +28,12 @@ SHADERS = (
     "slice.glsl", "slice.frag", "splat.vert", "splat.frag", "whole.vert", "shrink.frag", "spread.frag", "present.frag",
 )  # fmt: skip
 _POSTER_QUALITY = 80
+"""Of the JPEG of the poster. Chosen by eye."""
 
 
 def write_player(
     path: Path, model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], title: str,
-    widths: tuple[float, float] = (SWING, DOLLY),
+    widths: tuple[float, float] = (DEFAULT_SWING, DEFAULT_DOLLY),
 ) -> Path:  # fmt: skip
     """Write the page.
 

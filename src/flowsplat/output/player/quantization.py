@@ -21,8 +21,9 @@ from typing import Any
 
 import numpy as np
 
-_TAIL = 2e-4
-"""Share of the values on either side that may be clipped, so that a few far out do not make the steps of all large."""
+_CLIPPED_SHARE = 2e-4
+"""Share of the values on either side that may be clipped, so that a few far out do not make the steps of all large.
+Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ def quantize(name: str, values: np.ndarray, bits: int, low: np.ndarray | float, 
     return _quantize(name, values, bits, low[None], step[None], max(len(values), 1))
 
 
-def quantize_to_range(name: str, values: np.ndarray, bits: int, tail: float = _TAIL) -> QuantizedArray:
+def quantize_to_range(name: str, values: np.ndarray, bits: int, tail: float = _CLIPPED_SHARE) -> QuantizedArray:
     """Quantize values [count, components], each component between its own smallest and largest value, a few outliers apart."""
     if not len(values):
         return quantize(name, values, bits, 0.0, 1.0)

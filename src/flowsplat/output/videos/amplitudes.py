@@ -17,16 +17,18 @@ from flowsplat.priors.objects import load_objects
 from flowsplat.priors.objects.areas import large_objects
 from flowsplat.scenes import Scene
 
-ANGLES = (3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0)
-"""Degrees to choose from; the first where none is good."""
-DOLLIES = (1.1, 1.2, 1.3, 1.4, 1.5)
-"""Factors of the distance to choose from, likewise."""
-MOST_ASTRAY = 0.02
-"""Share of the width of the image by which the largest objects may stand beside their place, by one standard deviation."""
-MOST_UNKNOWN = 0.06
-"""Share of the image, on average over a loop, that the clip does not tell, beyond what it does not tell of its own views."""
-_PROBES = 4
-"""Cameras of a loop that are looked at: where it turns."""
+SWING_ANGLES = (3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0)
+"""Degrees to choose from; the first where none is good (docs/method.md, "Evaluation protocols")."""
+DOLLY_FACTORS = (1.1, 1.2, 1.3, 1.4, 1.5)
+"""Factors of the distance to choose from, likewise (docs/method.md, "Evaluation protocols")."""
+MAX_OBJECT_ERROR = 0.02
+"""Share of the width of the image by which the largest objects may stand beside their place, by one standard deviation
+(docs/method.md, "Evaluation protocols")."""
+MAX_UNKNOWN_SHARE = 0.06
+"""Share of the image, on average over a loop, that the clip does not tell, beyond what it does not tell of its own views
+(docs/method.md, "Evaluation protocols")."""
+_PROBE_CAMERAS = 4
+"""Cameras of a loop that are looked at: where it turns. Chosen by eye."""
 
 _Look = tuple[Camera, Camera, float]
 """The clip's camera, the one that is looked by, and the seconds."""
@@ -51,9 +53,11 @@ class Amplitudes:
         distance = 1 / self._scene.similarity.scale
 
         def looks(angle: float) -> list[_Look]:
-            return [(own, each, t) for t in times for own in [self.path.at(t)] for each in orbit(own, distance, _PROBES, angle)]
+            return [
+                (own, each, t) for t in times for own in [self.path.at(t)] for each in orbit(own, distance, _PROBE_CAMERAS, angle)
+            ]
 
-        angles = [angle for angle in ANGLES if np.radians(angle) * self._astray <= MOST_ASTRAY] or list(ANGLES[:1])
+        angles = [angle for angle in SWING_ANGLES if np.radians(angle) * self._astray <= MAX_OBJECT_ERROR] or list(SWING_ANGLES[:1])
         angle, told = self._furthest(angles, looks)
         report(f"{name.capitalize()}: {angle:g} degrees to either side{told}.")
         return angle
@@ -61,7 +65,7 @@ class Amplitudes:
     def dolly(self, t: float, distance: float) -> float:
         """Return how many times as far from what is at a planar ``distance`` a dolly zoom goes at ``t`` seconds."""
         own = self.path.at(t)
-        factor, told = self._furthest(DOLLIES, lambda factor: [(own, dolly_zoom(own, distance, factor), t)])
+        factor, told = self._furthest(DOLLY_FACTORS, lambda factor: [(own, dolly_zoom(own, distance, factor), t)])
         report(f"Dolly zoom: {factor:g} times as far{told}.")
         return factor
 
@@ -73,7 +77,7 @@ class Amplitudes:
         while beyond - best > 1:
             middle = (best + beyond) // 2
             unknown, is_clear = self._measure_unknown(looks(values[middle]))
-            best, beyond = (middle, beyond) if is_clear and unknown <= MOST_UNKNOWN else (best, middle)
+            best, beyond = (middle, beyond) if is_clear and unknown <= MAX_UNKNOWN_SHARE else (best, middle)
         unknown, is_clear = self._measure_unknown(looks(values[best]))
         return values[best], f"{'' if is_clear else ', close to what moves'}; {unknown:.0%} of what it shows there is a guess"
 

@@ -10,15 +10,15 @@ from typing import Literal, get_args
 from flowsplat.common.errors import InputError
 from flowsplat.gaussians.distances import check_factors
 from flowsplat.gaussians.renderer import Part, numbers_of
-from flowsplat.images.video import FASTEST, SLOWEST
+from flowsplat.images.video import MAX_FPS, MIN_FPS
 from flowsplat.output.camera_files import MAX_SIDE
 
 PathName = Literal["input", "stabilized", "orbit", "bullet", "dolly", "wiggle"]
 
 _MIN_SIDE = 16
-"""Pixels of width."""
-MOST_FRAMES = 100_000
-"""Of a video."""
+"""Pixels of width. Chosen by eye."""
+MAX_FRAMES = 100_000
+"""Of a video. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -109,17 +109,17 @@ def check_options(options: RenderOptions, fps: float, first: float, last: float)
     factors_of(options.object_depth)
     if options.width is not None and not _MIN_SIDE <= options.width <= MAX_SIDE:
         raise InputError(f"A video {options.width} pixels wide cannot be made: give a width from {_MIN_SIDE} to {MAX_SIDE}.")
-    if not SLOWEST <= fps <= FASTEST:
-        raise InputError(f"{fps:g} frames a second cannot be written: give a frame rate from {SLOWEST:g} to {FASTEST:g}.")
+    if not MIN_FPS <= fps <= MAX_FPS:
+        raise InputError(f"{fps:g} frames a second cannot be written: give a frame rate from {MIN_FPS:g} to {MAX_FPS:g}.")
     if not 0.01 <= options.slow_motion <= 100:
         raise InputError(
             f"A video {options.slow_motion:g} times slower cannot be made: give --render.slow-motion from 0.01 to 100."
         )
-    if not 2 <= options.max_frames <= MOST_FRAMES:
-        raise InputError(f"A video of at most {options.max_frames:,} frame(s) cannot be made: give 2 to {MOST_FRAMES:,}.")
-    if (count := (last - first) * fps * options.slow_motion) > MOST_FRAMES:
+    if not 2 <= options.max_frames <= MAX_FRAMES:
+        raise InputError(f"A video of at most {options.max_frames:,} frame(s) cannot be made: give 2 to {MAX_FRAMES:,}.")
+    if (count := (last - first) * fps * options.slow_motion) > MAX_FRAMES:
         raise InputError(
-            f"A video of {count:,.0f} frames cannot be made, {MOST_FRAMES:,} at most: give a smaller --render.fps or "
+            f"A video of {count:,.0f} frames cannot be made, {MAX_FRAMES:,} at most: give a smaller --render.fps or "
             "--render.slow-motion."
         )
     if options.orbit_angle is not None and not 0 <= options.orbit_angle < 90:

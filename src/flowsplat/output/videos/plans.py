@@ -16,7 +16,7 @@ from flowsplat.common.spread import spread
 from flowsplat.gaussians.renderer import Part, PartedRenderer
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shift_camera
-from flowsplat.images.video import FASTEST, SLOWEST
+from flowsplat.images.video import MAX_FPS, MIN_FPS
 from flowsplat.output.camera_files import CameraShots, read_camera_file
 from flowsplat.output.videos.amplitudes import Amplitudes
 from flowsplat.output.videos.options import RenderOptions, check_options, factors_of
@@ -25,6 +25,7 @@ from flowsplat.output.videos.stabilized import stabilize
 from flowsplat.scenes import Scene
 
 WIGGLE_FRAMES = 16
+"""Frames of one swing of a wiggle, there and back. Chosen by eye."""
 WIGGLE_FPS = 12.5
 """A GIF counts time in hundredths of a second."""
 _SUFFIXES = {"stereo": "mp4", "alpha": "webm", "gif": "gif"}
@@ -92,7 +93,7 @@ def settle(scene: Scene, options: RenderOptions) -> tuple[float, tuple[int, int]
         InputError: an option or the camera file cannot be used.
     """
     first, last = float(scene.timestamps[0]), float(scene.timestamps[-1])
-    fps = min(max(float(scene.info.source_fps), SLOWEST), FASTEST) if options.fps is None else options.fps
+    fps = min(max(float(scene.info.source_fps), MIN_FPS), MAX_FPS) if options.fps is None else options.fps
     check_options(options, fps, first, last)
     width = scene.width if options.width is None else options.width
     size = (width, max(round(scene.height * width / scene.width), 1))

@@ -8,11 +8,11 @@ Shot = tuple[Camera, float]
 """A camera and the seconds of the clip that it shows."""
 
 MIN_ALPHA = 0.5
-"""Alpha from which something is shown."""
-_PROBE_SHARE = 4
-"""By how much the small images are smaller."""
+"""Alpha from which something is shown. Chosen by eye."""
+_PROBE_REDUCTION = 4
+"""By how much the small images are smaller. Chosen by eye."""
 
 
 def small(camera: Camera) -> Camera:
     """Return the camera for a small image of what it sees."""
-    return camera.resize(max(camera.width // _PROBE_SHARE, 1), max(camera.height // _PROBE_SHARE, 1))
+    return camera.resize(max(camera.width // _PROBE_REDUCTION, 1), max(camera.height // _PROBE_REDUCTION, 1))

@@ -12,10 +12,11 @@ from flowsplat.gaussians.renderer import Renderer
 from flowsplat.geometry.paths import crop_camera, smooth_path
 from flowsplat.output.videos.shots import MIN_ALPHA, Shot
 
-_LEAST_LEFT = 0.7
-"""Share of width and height that a stabilized video keeps at least; rather than cut more off, it is smoothed less."""
+_MIN_KEPT_SHARE = 0.7
+"""Share of width and height that a stabilized video keeps at least; rather than cut more off, it is smoothed less. Chosen by eye.
+"""
 _PROBE_WIDTH = 160
-"""Pixels of the images in which uncovered borders are looked for."""
+"""Pixels of the images in which uncovered borders are looked for. Chosen by eye."""
 _MARGIN_PIXELS = 1
 """Pixels of these images: Gaussians are blurred to a pixel, so that small images look covered a little further."""
 
@@ -38,12 +39,12 @@ def stabilize(model: Renderer, shots: Sequence[Shot], sigma: float) -> tuple[lis
     candidates = [smooth_path(cameras, sigma / 2**k) for k in range(4)] if sigma > 0 else [cameras]
     for smooth in candidates:
         share = compute_covered_share(model, list(zip(smooth, times, strict=True)))
-        if share >= _LEAST_LEFT:
+        if share >= _MIN_KEPT_SHARE:
             break
     else:
         own = compute_covered_share(model, shots)
-        smooth = candidates[0] if own < _LEAST_LEFT else cameras
-        share = max(own, _LEAST_LEFT)
+        smooth = candidates[0] if own < _MIN_KEPT_SHARE else cameras
+        share = max(own, _MIN_KEPT_SHARE)
         report("The scene has borders that no frame saw: the stabilized path shows them filled from their neighbors.")
     return [(crop_camera(camera, share), t) for camera, t in zip(smooth, times, strict=True)], share
 

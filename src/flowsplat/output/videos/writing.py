@@ -23,9 +23,9 @@ from flowsplat.images.video import mp4_writer
 from flowsplat.output.videos.plans import VideoPlan
 from flowsplat.output.videos.shots import MIN_ALPHA, Shot, small
 
-_PROBES = 5
-"""Shots that are looked at before a video is made, to fix its color scales."""
-_WIDEST_PANEL = 1280
+_PROBE_SHOTS = 5
+"""Shots that are looked at before a video is made, to fix its color scales. Chosen by eye."""
+_MAX_PANEL_WIDTH = 1280
 """Pixels. Three panels beside each other then stay below what hardware decoders take."""
 
 
@@ -54,7 +54,7 @@ class Scales:
         """Look at a few shots, smaller."""
         smaller = [(small(camera), t) for camera, t in shots]
         ratio = shots[0][0].width / smaller[0][0].width
-        seen = list(in_threads(lambda k: look(model, smaller, k), spread(len(shots), _PROBES), at_once(model)))
+        seen = list(in_threads(lambda k: look(model, smaller, k), spread(len(shots), _PROBE_SHOTS), at_once(model)))
         looks = hashlib.sha256()
         for arrays in seen:
             for array in arrays:
@@ -85,7 +85,7 @@ def write_plan(model: Renderer, plan: VideoPlan, scales: Scales, folder: Path) -
 
 def _write_panels(model: Renderer, plan: VideoPlan, scales: Scales, panels_path: Path, color_path: Path) -> None:
     camera = plan.shots[0][0]
-    height = min(camera.height, max(round(camera.height * _WIDEST_PANEL / camera.width), 1))
+    height = min(camera.height, max(round(camera.height * _MAX_PANEL_WIDTH / camera.width), 1))
 
     def sheet(k: int) -> tuple[np.ndarray, np.ndarray]:
         image, flow, depth = look(model, plan.shots, k)

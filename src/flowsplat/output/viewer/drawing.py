@@ -26,11 +26,11 @@ ImageKind = Literal["color", "flow", "depth", "alpha", "Gaussians"]
 Compare = Literal["off", "beside", "wipe"]
 
 _TRACK_TAIL = 8
-"""Frames that a track on the input image reaches back."""
-_MOST_TRACKS = 250
-"""Of objects, and of the background; more hide the image."""
-_BACKGROUND = 24
-"""Gray value behind Gaussians that are shown as points."""
+"""Frames that a track on the input image reaches back. Chosen by eye."""
+_MAX_TRACKS = 250
+"""Of objects, and of the background; more hide the image. Chosen by eye."""
+_BACKGROUND_GRAY = 24
+"""Gray value behind Gaussians that are shown as points. Chosen by eye."""
 _MAX_DEPTH = 150.0
 """What viser can say of a depth ends at 167."""
 _BOTH_EYES = (-1, 1)
@@ -183,7 +183,7 @@ def _next_shot(source: Source, camera: Camera, wish: Wish, side: int) -> tuple[C
 @torch.no_grad()
 def draw_points(model: SceneModel, camera: Camera, t: float) -> np.ndarray:
     """Return [H, W, 3] uint8: every active Gaussian as a dot in its color at its center, near ones over far ones."""
-    image = np.full((camera.height, camera.width, 3), _BACKGROUND, np.uint8)
+    image = np.full((camera.height, camera.width, 3), _BACKGROUND_GRAY, np.uint8)
     there = model.similarity.camera(camera)
     gaussians = model.gaussians_for(there, model.clip_time(t))
     sliced = slice_view(gaussians, there, model.clip_time(t), distances=model.distances)
@@ -215,7 +215,7 @@ def draw_tracks(image: np.ndarray, source: Source, t: float) -> None:
     width = max(round(image.shape[1] / 640), 1)
     for moving, color in ((False, (80, 170, 255)), (True, (255, 140, 0))):
         chosen = np.nonzero(tracks.visible[:, now] & (tracks.moving == moving))[0]
-        chosen = chosen[:: max(len(chosen) // _MOST_TRACKS, 1)]
+        chosen = chosen[:: max(len(chosen) // _MAX_TRACKS, 1)]
         lines = [np.round(tracks.points[p, tail][tracks.visible[p, tail]] * scale).astype(np.int32) for p in chosen]
         cv2.polylines(image, lines, False, color, width, cv2.LINE_AA)
         for line in lines:

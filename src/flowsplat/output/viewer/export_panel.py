@@ -22,15 +22,15 @@ from flowsplat.output.viewer.controls import Controls
 from flowsplat.output.viewer.drawing import Wish, draw_shot
 from flowsplat.output.viewer.keys import CameraKeys
 from flowsplat.output.viewer.layout import Box, empty, fit_box, place
-from flowsplat.output.viewer.messages import MOST_UPLOAD
+from flowsplat.output.viewer.messages import MAX_UPLOAD_BYTES
 from flowsplat.output.viewer.notifications import Notifications
 from flowsplat.output.viewer.recording import RECORDINGS, next_file, record_path, take_screenshot
 from flowsplat.output.viewer.session import Session
 from flowsplat.output.viewer.source import Source
 from flowsplat.output.viewer.worker import Worker
 
-_QUALITY = 75
-"""Of the JPEGs of a path that is played."""
+_JPEG_QUALITY = 75
+"""Of the JPEGs of a path that is played. Chosen by eye."""
 _READY_HINT = "The paths that flowsplat render knows, at the speed set above; bullet, dolly and wiggle at this moment of the clip."
 _RECORDINGS_HINT = "mp4 and gif: what is shown, for two eyes if so set. webm: what moves, on transparent."
 
@@ -152,7 +152,7 @@ class ExportPanel:
                 before = time.monotonic()
                 image = draw_shot(self._source, self._browser, camera.resize(*size), t, session.look)
                 session.resolution.learn(size, time.monotonic() - before)
-                self._client.scene.set_background_image(self._add_bars(image), format="jpeg", jpeg_quality=_QUALITY)
+                self._client.scene.set_background_image(self._add_bars(image), format="jpeg", jpeg_quality=_JPEG_QUALITY)
                 yield
         finally:
             with self._worker.change():
@@ -196,7 +196,7 @@ class ExportPanel:
     def _load_path(self) -> None:
         name, content = plain_name(self._load.value.name, "The file"), self._load.value.content
         if not content:
-            raise InputError(f"{name} is empty, or has more than the {MOST_UPLOAD / 2**20:g} MiB that can be loaded here.")
+            raise InputError(f"{name} is empty, or has more than the {MAX_UPLOAD_BYTES / 2**20:g} MiB that can be loaded here.")
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / name
             path.write_bytes(content)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-BAR = 20
-"""Gray value of what is beside an image."""
+BAR_GRAY = 20
+"""Gray value of what is beside an image. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ def halves(size: tuple[int, int]) -> tuple[Box, Box]:
 
 def empty(size: tuple[int, int]) -> np.ndarray:
     """Return [H, W, 3] uint8: a canvas (width, height) with nothing on it."""
-    return np.full((size[1], size[0], 3), BAR, np.uint8)
+    return np.full((size[1], size[0], 3), BAR_GRAY, np.uint8)
 
 
 def place(canvas: np.ndarray, image: np.ndarray, box: Box) -> None:

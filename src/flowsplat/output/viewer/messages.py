@@ -13,16 +13,18 @@ from typing import Any
 
 import msgspec
 
-MOST_UPLOAD = 16 * 2**20
+MAX_UPLOAD_BYTES = 16 * 2**20
 """Bytes of a file that is uploaded: as much as the reader of JSON takes."""
 _MAX_CHARACTERS = 1000
-"""Characters of a text."""
+"""Characters of a text. Chosen by eye."""
 _MAX_COORDINATE = 1e9
-"""Of a camera, in the browser's coordinates."""
-_LARGEST_WINDOW = 16_384
-_MOST_PARTS = 1024
-_MOST_TRANSFERS = 4
-"""Uploads at once."""
+"""Of a camera, in the browser's coordinates. Chosen by eye."""
+_MAX_WINDOW_SIDE = 16_384
+"""Pixels of a browser's window. A round number beyond any screen."""
+_MAX_UPLOAD_PARTS = 1024
+"""Parts of one upload, at most. A round number."""
+_MAX_UPLOADS = 4
+"""Uploads at once. Chosen by eye."""
 
 Receive = Callable[[], Awaitable[Any]]
 
@@ -68,7 +70,7 @@ class Gate:
                 return None
         is_turned = abs(math.hypot(*message["wxyz"]) - 1) < 0.01
         sizes = (message["image_width"], message["image_height"])
-        has_window = all(_is_number(size, 0, _LARGEST_WINDOW) for size in sizes)
+        has_window = all(_is_number(size, 0, _MAX_WINDOW_SIDE) for size in sizes)
         return raw if is_turned and has_window and _is_number(message["fov"], 1e-3, math.pi - 1e-3) else None
 
     def _update(self, raw: bytes, message: dict[str, Any]) -> bytes | None:
@@ -82,9 +84,9 @@ class Gate:
         texts = ("source_component_uuid", "transfer_uuid", "filename", "mime_type")
         if not all(isinstance(message[name], str) for name in texts) or not _is_text(transfer):
             return None
-        if len(self._uploads) >= _MOST_TRANSFERS or transfer in self._uploads:
+        if len(self._uploads) >= _MAX_UPLOADS or transfer in self._uploads:
             return None
-        if not (_is_whole(size, 1, MOST_UPLOAD) and _is_whole(parts, 1, _MOST_PARTS)):
+        if not (_is_whole(size, 1, MAX_UPLOAD_BYTES) and _is_whole(parts, 1, _MAX_UPLOAD_PARTS)):
             # Passed on as an empty file, of which the page is told that it cannot be used.
             return msgspec.msgpack.encode({**message, "part_count": 0, "size_bytes": 0})
         self._uploads[transfer] = size
@@ -92,7 +94,11 @@ class Gate:
 
     def _part(self, raw: bytes, message: dict[str, Any]) -> bytes | None:
         transfer, content = message["transfer_uuid"], message["content"]
-        if not isinstance(content, bytes) or transfer not in self._uploads or not _is_whole(message["part_index"], 0, _MOST_PARTS):
+        if (
+            not isinstance(content, bytes)
+            or transfer not in self._uploads
+            or not _is_whole(message["part_index"], 0, _MAX_UPLOAD_PARTS)
+        ):
             return None
         self._uploads[transfer] -= len(content)
         left = self._uploads[transfer]

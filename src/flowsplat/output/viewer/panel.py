@@ -26,23 +26,24 @@ from flowsplat.scenes import Scene
 
 _SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 _MAX_FRUSTA = 24
-_FRUSTUM = 0.25
-"""Size of a frustum in the browser's coordinates."""
+"""Cameras of the path that are drawn, at most. Chosen by eye."""
+_FRUSTUM_SIZE = 0.25
+"""Size of a frustum in the browser's coordinates. Chosen by eye."""
 _PIVOT_DISTANCE = {"orbit": SCENE_DEPTH, "fly": 0.05}
 """How far ahead of the camera the point lies round which dragging turns it."""
 _TIME_STEP = 0.001
-"""Seconds."""
-_MOST_ENLARGED = 2
-"""Times the size of the clip. Beyond that, the gaps between Gaussians are seen rather than the scene."""
+"""Seconds. Chosen by eye."""
+_MAX_ENLARGEMENT = 2
+"""Times the size of the clip. Beyond that, the gaps between Gaussians are seen rather than the scene. Chosen by eye."""
 _MODE_HINT = "Orbit turns round the scene, fly looks about; W A S D Q E move. The input camera stays the clip's."
 _MAX_OBJECTS = 16
-"""Objects that can be chosen: those with the most Gaussians."""
-_DISTANCES, _DISTANCE_STEP = (0.3, 3.0), 0.01
-"""Times as far from the clip's camera as trained."""
+"""Objects that can be chosen: those with the most Gaussians. Chosen by eye."""
+_DISTANCE_RANGE, _DISTANCE_STEP = (0.3, 3.0), 0.01
+"""Times as far from the clip's camera as trained. Chosen by eye."""
 _CONFIDENCE_FADE_HINT = "What the clip has not seen well enough to tell what it looks like from here is black."
 _DISTANCE_HINT = "Times as far from the clip's camera. The clip's own frames stay as they are, but for who hides whom."
 _STILL_QUALITY, _MOVING_QUALITY = 92, 75
-"""Of the JPEGs."""
+"""Of the JPEGs. Chosen by eye."""
 
 
 class Panel:
@@ -55,7 +56,7 @@ class Panel:
         self.scene = source.scene
         self._is_over = False
         self._browser = BrowserFrame(source.scene.similarity)
-        self._session = Session(source.clip, min(largest, _MOST_ENLARGED * max(source.size)))
+        self._session = Session(source.clip, min(largest, _MAX_ENLARGEMENT * max(source.size)))
         self._session.mode = "orbit"
         self._notifications = Notifications(client)
         self._overlays: dict[str, Any] = {}
@@ -112,7 +113,7 @@ class Panel:
                 for number in self._objects:
                     if number in hints:
                         gui.add_markdown(word_hint(number, hints[number]))
-                    near, far = _DISTANCES
+                    near, far = _DISTANCE_RANGE
                     slider = controls.add_slider(f"Object {number}", min=near, max=far, step=_DISTANCE_STEP, initial_value=1.0)
                     self._distances[number] = slider
                 trained = gui.add_button("As trained", icon=viser.Icon.ARROW_BACK)
@@ -267,7 +268,7 @@ class Panel:
         for i in spread(len(cameras), _MAX_FRUSTA):
             pose = self._browser.pose(cameras[i])
             scene.add_camera_frustum(
-                f"/cameras/{i}", pose.fov, cameras[i].width / cameras[i].height, scale=_FRUSTUM, thickness=1.5,
+                f"/cameras/{i}", pose.fov, cameras[i].width / cameras[i].height, scale=_FRUSTUM_SIZE, thickness=1.5,
                 thickness_units="screen", color=(255, 190, 60) if i in heldout else (90, 200, 255), wxyz=pose.wxyz,
                 position=pose.position,
             )  # fmt: skip

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-_TARGET = 0.08
-"""Seconds that an image may take while something moves."""
+_TARGET_SECONDS = 0.08
+"""Seconds that an image may take while something moves. Chosen by eye."""
 _MIN_MOVING_SIDE = 240
-"""Pixels of the longer side."""
+"""Pixels of the longer side. Chosen by eye."""
 
 
 class AdaptiveResolution:
@@ -28,7 +28,7 @@ class AdaptiveResolution:
 
     def learn(self, size: tuple[int, int], seconds: float) -> None:
         """A moving image of that size took so long."""
-        wish = size[0] * size[1] * min(max(_TARGET / max(seconds, 1e-4), 0.4), 1.6)
+        wish = size[0] * size[1] * min(max(_TARGET_SECONDS / max(seconds, 1e-4), 0.4), 1.6)
         # Half of the way: one slow image (the first one compiles) must not spoil the next ones.
         self._pixels = (self._pixels * wish) ** 0.5
 

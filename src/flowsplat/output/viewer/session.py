@@ -12,9 +12,10 @@ from flowsplat.output.viewer.resolution import AdaptiveResolution
 
 Mode = Literal["orbit", "fly", "input camera"]
 
-_SETTLE = 0.25
-"""Seconds without a change after which an image counts as still."""
-_MOST_FPS = 30
+_SETTLE_SECONDS = 0.25
+"""Seconds without a change after which an image counts as still. Chosen by eye."""
+_MAX_FPS = 30
+"""Images a second that are drawn while something moves, at most. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -62,20 +63,20 @@ class Session:
         if self.is_held or self.canvas is None or min(self.canvas) < 1:
             return None
         t = self.clock.at(now)
-        is_still = not self.clock.playing and now - self._changed >= _SETTLE
+        is_still = not self.clock.playing and now - self._changed >= _SETTLE_SECONDS
         version = (self._version, model)
         if self._drawn is not None:
             drawn_version, drawn_t, was_still = self._drawn
             if drawn_version == version and drawn_t == t and (was_still or not is_still):
                 return None
-            if not is_still and now - self._drawn_at < 1 / _MOST_FPS:
+            if not is_still and now - self._drawn_at < 1 / _MAX_FPS:
                 return None
         size = self.resolution.still(self.canvas) if is_still else self.resolution.choose_moving_size(self.canvas)
         return ImageJob(Wish(size, t, self.look, None if self.mode == "input camera" else self.pose), is_still, version)
 
     def is_restless(self, now: float) -> bool:
         """Return whether it will need an image soon without anything more being changed."""
-        return self.clock.playing or now - self._changed < 2 * _SETTLE
+        return self.clock.playing or now - self._changed < 2 * _SETTLE_SECONDS
 
     def finish_image(self, job: ImageJob, now: float, seconds: float) -> None:
         """An image was made, and took so long."""

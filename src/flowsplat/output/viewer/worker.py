@@ -22,10 +22,10 @@ from flowsplat.output.viewer.source import Source
 SendImage = Callable[[ImageJob, Drawing], None]
 """Sends an image to its client."""
 
-_WATCH = 1.0
-"""Seconds between two looks at whether there is a newer model."""
-_ACTIVE, _IDLE = 0.015, 0.25
-"""Seconds to wait for something to do, while a client may soon need an image and while none does."""
+_MODEL_CHECK_INTERVAL = 1.0
+"""Seconds between two looks at whether there is a newer model. Chosen by eye."""
+_ACTIVE_WAIT, _IDLE_WAIT = 0.015, 0.25
+"""Seconds to wait for something to do, while a client may soon need an image and while none does. Chosen by eye."""
 
 
 class Worker:
@@ -96,14 +96,14 @@ class Worker:
                 with self._condition:
                     restless = any(session.is_restless(time.monotonic()) for session, _ in self._sessions.values())
                     if not self._stopping:
-                        self._condition.wait(_ACTIVE if restless else _IDLE)
+                        self._condition.wait(_ACTIVE_WAIT if restless else _IDLE_WAIT)
         with self._condition:
             for _, task in self._tasks:
                 self._close(task)
 
     def _watch(self) -> None:
         now = time.monotonic()
-        if now - self._watched < _WATCH:
+        if now - self._watched < _MODEL_CHECK_INTERVAL:
             return
         self._watched = now
         if self._source.refresh():

@@ -36,21 +36,24 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.background.bits import pack
 from flowsplat.priors.background.matched_clip import MatchedClip
 
-OFFSETS = (-16, -8, -4, 4, 8, 16)
-"""Training frames before and after that are asked."""
-REACHES = (4, 9, 15)
-"""Pixels from which the nearest and the farthest surface are proposed."""
+FRAME_OFFSETS = (-16, -8, -4, 4, 8, 16)
+"""Training frames before and after that are asked (docs/method.md, "Flow, masks and depth")."""
+PROPOSAL_RADII = (4, 9, 15)
+"""Pixels from which the nearest and the farthest surface are proposed. Chosen on workshop and garden (docs/method.md, "Flow,
+masks and depth"; docs/results.md)."""
 MIN_DEPTH_RANGE = 0.06
-"""Range of inverse depth within the last reach, as a share of it, from which a pixel is asked about."""
+"""Range of inverse depth within the last reach, as a share of it, from which a pixel is asked about (docs/method.md, "Flow, masks
+and depth")."""
 REFINEMENT_ROUNDS = 2
-KEEP = 0.95
-"""The depth that a pixel has stays, unless another has less than this share of its cost."""
+"""How often every edge is refined. docs/method.md, "Flow, masks and depth" has two."""
+MAX_COST_RATIO = 0.95
+"""The depth that a pixel has stays, unless another has less than this share of its cost. Chosen by eye."""
 VOTE_RADIUS = 4
-"""Pixels to either side that vote."""
-LIKENESS = 20.0
-"""Sum of the differences in red, green and blue at which a pixel's vote counts half."""
-_COLOR, _GRADIENT, _WORST = 60.0, 20.0, 60.0
-"""Largest difference of colors and of gradients that counts; cost where no frame says anything."""
+"""Pixels to either side that vote (docs/method.md, "Flow, masks and depth")."""
+VOTING_COLOR_SCALE = 20.0
+"""Sum of the differences in red, green and blue at which a pixel's vote counts half. Chosen by eye."""
+_MAX_COLOR_DIFFERENCE, _MAX_GRADIENT_DIFFERENCE, _UNSEEN_COST = 60.0, 20.0, 60.0
+"""Largest difference of colors and of gradients that counts; cost where no frame says anything. Chosen by eye."""
 _ROW_MARGIN = VOTE_RADIUS
 """Numbers before and after a row, so that what lies beside the image can be loaded; of costs they are 0: no vote."""
 
@@ -101,7 +104,7 @@ def refine_edges(
     words, slopes = np.stack([other.words for other in others]), np.stack([other.slopes for other in others])
     image = view.features
     for _ in range(REFINEMENT_ROUNDS):
-        around = [cv2.getStructuringElement(cv2.MORPH_RECT, (2 * reach + 1, 2 * reach + 1)) for reach in REACHES]
+        around = [cv2.getStructuringElement(cv2.MORPH_RECT, (2 * reach + 1, 2 * reach + 1)) for reach in PROPOSAL_RADII]
         far, close = [cv2.erode(inverse, each) for each in around], [cv2.dilate(inverse, each) for each in around]
         proposed = [inverse, *far, *close]  # Equal ones are neighbors, and are tried once.
         asked = still & (close[-1] - far[-1] > MIN_DEPTH_RANGE * inverse)
@@ -121,7 +124,7 @@ class EdgeRefiner:
 
     def __init__(self, clip: MatchedClip, has_masks: bool, room: int):
         self._clip, self._has_masks = clip, has_masks
-        self._seen = compute_once(self._see, 2 * OFFSETS[-1] + room)
+        self._seen = compute_once(self._see, 2 * FRAME_OFFSETS[-1] + room)
 
     def __call__(self, k: int, inverse: np.ndarray, doubted: np.ndarray | None = None) -> np.ndarray:
         """Return inverse depth [H, W] float32 of training frame k at full size, with its jumps where the images have them.
@@ -129,7 +132,7 @@ class EdgeRefiner:
         ``doubted`` as in ``refine_edges``.
         """
         scene, same = self._clip.scene, self._clip.continuity.same_piece
-        others = [j for j in (k + offset for offset in OFFSETS) if 0 <= j < len(self._clip) and same(k, j)]
+        others = [j for j in (k + offset for offset in FRAME_OFFSETS) if 0 <= j < len(self._clip) and same(k, j)]
         if not others:
             return inverse
         cameras = [scene.cameras[scene.train_frames[j]] for j in (k, *others)]
@@ -179,8 +182,8 @@ def _costs_of_rows(
     J = len(poses)
     kept = max(J // 2, 1)
     S = _row_size(W)
-    half, one, worst = np.float32(0.5), np.float32(1), np.float32(_WORST)
-    most, steepest, nothing = np.float32(_COLOR), np.float32(_GRADIENT), np.float32(0)
+    half, one, worst = np.float32(0.5), np.float32(1), np.float32(_UNSEEN_COST)
+    most, steepest, nothing = np.float32(_MAX_COLOR_DIFFERENCE), np.float32(_MAX_GRADIENT_DIFFERENCE), np.float32(0)
     right, bottom = np.float32(W - 1), np.float32(H - 1)
     K0 = intrinsics[0]
     for y in range(begin, end):
@@ -296,7 +299,7 @@ def _choose_rows(
 ) -> None:  # fmt: skip
     L, H, W = proposed.shape
     S = len(votes) // (L * H)
-    scale, one = np.float32(1 / LIKENESS), np.float32(1)
+    scale, one = np.float32(1 / VOTING_COLOR_SCALE), np.float32(1)
     for y in range(begin, end):
         totals, found = np.empty(L * LANES, np.float32), np.empty(LANES, np.float32)
         near, mine, wanted = np.empty(L * S, np.float32), np.empty(3 * S, np.float32), np.empty(S, np.bool_)
@@ -323,7 +326,7 @@ def _choose_rows(
                         weight = one / (one + off * off)
                         for n in range(L):
                             store(totals, n * LANES, load(totals, n * LANES) + weight * load(votes, n * H * S + at))
-                best, chosen = load(totals, 0) * np.float32(KEEP), load(near, first)
+                best, chosen = load(totals, 0) * np.float32(MAX_COST_RATIO), load(near, first)
                 for n in range(1, L):
                     total = load(totals, n * LANES)
                     chosen = where_above(best, total, load(near, n * S + first), chosen)

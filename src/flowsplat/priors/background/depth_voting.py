@@ -17,11 +17,11 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.background.reprojection import reproject
 
 SURFACE_TOLERANCE = 0.02
-"""Share of the inverse depth by which two values of one surface differ at most."""
+"""Share of the inverse depth by which two values of one surface differ at most (docs/method.md, "Flow, masks and depth")."""
 FARTHER_VOTE_SHARE = 0.8
-"""Share of the most votes that is enough for a surface that lies farther back."""
-OWN = 1.5
-"""Votes of the frame itself, a little more than that of any other."""
+"""Share of the most votes that is enough for a surface that lies farther back (docs/method.md, "Flow, masks and depth")."""
+OWN_VOTES = 1.5
+"""Votes of the frame itself, a little more than that of any other. Chosen by eye."""
 
 
 def vote_on_depth(
@@ -53,7 +53,7 @@ def _vote(begin: int, end: int, values: np.ndarray, chosen: np.ndarray, share: n
     same, enough, nothing, one = np.float32(SURFACE_TOLERANCE), np.float32(FARTHER_VOTE_SHARE), np.float32(0), np.float32(1)
     weights = np.empty(count, np.float32)
     for a in range(count):
-        weights[a] = OWN if a == 0 else one
+        weights[a] = OWN_VOTES if a == 0 else one
     room = max(width, LANES)
     for y in range(begin, end):
         row, votes = np.empty(count * room, np.float32), np.empty(count * LANES, np.float32)

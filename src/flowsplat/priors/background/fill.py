@@ -7,23 +7,24 @@ import numpy as np
 
 from flowsplat.images.edge_smoothing import EdgeSmoother
 
-SMOOTHNESS = 30.0
+EDGE_AWARE_SMOOTHNESS = 30.0
+"""Of the smoother along the edges of the image, as in the fast global smoother. Chosen by eye."""
 
 SMOOTHED_WEIGHT = 50.0
-"""Weight of a smoothed value against that of the value itself."""
+"""Weight of a smoothed value against that of the value itself. Chosen by eye."""
 
-BROAD_SMOOTHNESS = 10_000.0
-"""Of the trend, which knows no edges."""
+TREND_SMOOTHNESS = 10_000.0
+"""Of the trend, which knows no edges. Chosen by eye."""
 
 TREND_WEIGHT = 0.1
-"""Weight of the trend."""
+"""Weight of the trend. Chosen by eye."""
 
 COLOR_SIGMA = 8.0
-"""Gray levels across which the smoother no longer reaches."""
+"""Gray levels across which the smoother no longer reaches. Chosen by eye."""
 
 
 def fill(
-    values: np.ndarray, weights: np.ndarray, guide: np.ndarray, smoothness: float = SMOOTHNESS
+    values: np.ndarray, weights: np.ndarray, guide: np.ndarray, smoothness: float = EDGE_AWARE_SMOOTHNESS
 ) -> tuple[np.ndarray, np.ndarray]:
     """Weighted edge-aware smoothing (fast global smoother, https://doi.org/10.1109/TIP.2014.2366600).
 
@@ -40,7 +41,7 @@ def fill(
         are the mean of the input.
     """
     smoother = EdgeSmoother(guide, smoothness, COLOR_SIGMA)
-    broad = EdgeSmoother(np.zeros_like(guide), BROAD_SMOOTHNESS, COLOR_SIGMA)
+    broad = EdgeSmoother(np.zeros_like(guide), TREND_SMOOTHNESS, COLOR_SIGMA)
     known = weights > 0
     center = float(np.average(values[known], weights=weights[known])) if known.any() else float(values.mean())
     # Smoothed about the mean, so that the floor of the weights pulls nowhere but to it.

@@ -10,8 +10,8 @@ from flowsplat.common.kernels import kernel
 from flowsplat.common.threads import parallel_for
 from flowsplat.geometry import Camera
 
-AGREEMENT = 1.5
-"""Working pixels: a neighbor agrees if its point lands this close to where the pixel's own point lands."""
+AGREEMENT_DISTANCE = 1.5
+"""Working pixels: a neighbor agrees if its point lands this close to where the pixel's own point lands. Chosen by eye."""
 
 
 def fuse(
@@ -78,7 +78,7 @@ def _fuse(
                 bv = K0[1] * (Q[1, 0] * qx + Q[1, 1] * qy + Q[1, 2] * depth + Q[1, 3]) / bz + K0[3]
                 off = (bu - x - 0.5) ** 2 + (bv - y - 0.5) ** 2
                 ratio = z / bz
-                if off < AGREEMENT**2 and 0.8 < ratio < 1.25:
+                if off < AGREEMENT_DISTANCE**2 and 0.8 < ratio < 1.25:
                     weight = weights[j, r, c] / (1.0 + off)
                     total += weight
                     sum_inverse += weight / bz

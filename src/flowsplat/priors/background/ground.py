@@ -2,7 +2,7 @@
 
 An object that stands on the ground is where its feet are, and the depth beside its feet is the least sure of all: masks and
 shadows spoil it. So the ground is what all frames saw of it: static points of surfaces that face up. Which way is up is not
-known; cameras are held upright within ``TILT``, and the ground lies below them. Steps and slopes are in the map; where
+known; cameras are held upright within ``MAX_NORMAL_TILT``, and the ground lies below them. Steps and slopes are in the map; where
 nothing of the ground was seen near a place, it is not known there.
 """
 
@@ -18,28 +18,33 @@ from scipy.ndimage import distance_transform_edt
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import unproject_depth
 
-TILT = 35.0
-"""Degrees between the ground's normal and the mean upward direction of the cameras."""
+MAX_NORMAL_TILT = 35.0
+"""Degrees between the ground's normal and the mean upward direction of the cameras (docs/method.md, "Distance of objects")."""
 MAX_SLOPE = 35.0
-"""Degrees by which a surface may slope and still be ground."""
-TOLERANCE = 0.012
-"""Share of a point's depth that it may lie off a plane."""
-SHARPNESS = 0.3
-"""Tolerances off a plane at which a point counts half."""
-BELOW = 1.0
-"""How much a point that lies below a plane speaks against it, where one on it speaks for it: nothing is below the ground."""
-FEWEST_SHARE = 0.03
-"""Share of all static points from which there is a ground."""
-PLANE_SHARE = 0.5
-"""Share of what faces up that must lie near the plane for it to be taken on where nothing was seen: steps and terraces end."""
-CELL = 0.015
-"""Side of a cell of the map, in units of the median depth of its points."""
+"""Degrees by which a surface may slope and still be ground. Chosen by eye."""
+PLANE_TOLERANCE = 0.012
+"""Share of a point's depth that it may lie off a plane. Chosen by eye."""
+PLANE_HALF_WEIGHT = 0.3
+"""Tolerances off a plane at which a point counts half. Chosen by eye."""
+BELOW_PLANE_WEIGHT = 1.0
+"""How much a point that lies below a plane speaks against it, where one on it speaks for it: nothing is below the ground.
+Chosen by eye."""
+MIN_GROUND_SHARE = 0.03
+"""Share of all static points from which there is a ground. Chosen by eye."""
+MIN_PLANE_SHARE = 0.5
+"""Share of what faces up that must lie near the plane for it to be taken on where nothing was seen: steps and terraces end.
+Chosen by eye."""
+CELL_SIZE = 0.015
+"""Side of a cell of the map, in units of the median depth of its points (docs/method.md, "Distance of objects")."""
 MAX_CARRY_CELLS = 8
-"""Cells across which heights are carried to where nothing was seen: what an object always hides."""
+"""Cells across which heights are carried to where nothing was seen: what an object always hides (docs/method.md, "Distance of
+objects")."""
 HEIGHT_PERCENTILE = 40
-"""Percentile of the heights in a cell that counts: what stands on the ground is above it."""
-_SAMPLES, _TRIES, _REFITS = 4000, 1500, 5
-_LARGEST_MAP = 1500
+"""Percentile of the heights in a cell that counts: what stands on the ground is above it. Chosen by eye."""
+_PLANE_SAMPLES, _PLANE_TRIES, _PLANE_REFITS = 4000, 1500, 5
+"""Points that judge a plane, planes that are tried, and rounds in which the best is fitted anew. Chosen by eye."""
+_MAX_MAP_SIDE = 1500
+"""Cells of a side of the map, at most, for the memory: cells grow beyond. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -69,12 +74,12 @@ class Ground:
     def depth(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return planar depth [N] at which the rays through pixels [N, 2] first meet the ground, and whether it was seen there [N].
 
-        Where it was not, the plane goes on, if most of what faces up lies on it (``PLANE_SHARE``); inf elsewhere and above the
+        Where it was not, the plane goes on, if most of what faces up lies on it (``MIN_PLANE_SHARE``); inf elsewhere and above the
         horizon.
         """
         seen = self._compute_depth(camera, pixels)
         known = np.isfinite(seen)
-        if self.share < PLANE_SHARE or known.all():
+        if self.share < MIN_PLANE_SHARE or known.all():
             return seen, known
         rays = camera.unproject(pixels, np.ones(len(pixels))) - camera.center
         fall, above = rays @ self.normal, (camera.center - self.origin) @ self.normal
@@ -147,25 +152,25 @@ def find_ground(
     """
     rng = np.random.default_rng(seed)
     up, total = up_direction(cameras), len(points)
-    facing = normals @ up > np.cos(np.radians(TILT + MAX_SLOPE) / 1.4)
-    if facing.sum() < max(30, FEWEST_SHARE * total):
+    facing = normals @ up > np.cos(np.radians(MAX_NORMAL_TILT + MAX_SLOPE) / 1.4)
+    if facing.sum() < max(30, MIN_GROUND_SHARE * total):
         return None
     flat, far = points[facing], depths[facing]
-    few = rng.choice(len(flat), min(_SAMPLES, len(flat)), replace=False)
+    few = rng.choice(len(flat), min(_PLANE_SAMPLES, len(flat)), replace=False)
     found = _plane(flat[few], far[few], np.array([c.center for c in cameras]), up, rng)
     if found is None:
         return None
     normal, offset = found
     upward = normals @ normal > np.cos(np.radians(MAX_SLOPE))
-    near = upward & (np.abs(points @ normal - offset) < 2 * TOLERANCE * depths)
-    if near.sum() < max(30, FEWEST_SHARE * total):
+    near = upward & (np.abs(points @ normal - offset) < 2 * PLANE_TOLERANCE * depths)
+    if near.sum() < max(30, MIN_GROUND_SHARE * total):
         return None
     share = float(near.sum() / upward.sum())
     axes = np.linalg.svd(normal[None])[2][1:]
     axes[1] *= np.sign(np.cross(axes[0], axes[1]) @ normal)
     origin = normal * offset
     kept = points[upward & (points @ normal < min(float(c.center @ normal) for c in cameras))]
-    return _build_map(kept, normal, share, origin, axes, CELL * float(np.median(depths[upward])))
+    return _build_map(kept, normal, share, origin, axes, CELL_SIZE * float(np.median(depths[upward])))
 
 
 def _build_map(
@@ -177,7 +182,7 @@ def _build_map(
         return None
     # Few points far away must not make the map endless.
     low, high = np.percentile(places, [0.5, 99.5], axis=0)
-    cell = max(cell, float((high - low).max()) / _LARGEST_MAP)
+    cell = max(cell, float((high - low).max()) / _MAX_MAP_SIDE)
     corner = low - (MAX_CARRY_CELLS + 1) * cell
     shape = (np.ceil((high - corner) / cell).astype(int) + MAX_CARRY_CELLS + 1)[::-1]
     index = np.floor((places - corner) / cell).astype(int)
@@ -208,28 +213,28 @@ def _plane(
     points: np.ndarray, depths: np.ndarray, centers: np.ndarray, axis: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, float] | None:
     """Return the plane that most points lie on and few below: (normal, offset)."""
-    corners = points[rng.integers(0, len(points), (_TRIES, 3))]
+    corners = points[rng.integers(0, len(points), (_PLANE_TRIES, 3))]
     found = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(found, axis=1)
     found = found[lengths > 1e-12] / lengths[lengths > 1e-12, None]
     offsets = (found * corners[lengths > 1e-12, 0]).sum(1)
     flip = np.sign(found @ axis)
     found, offsets = found * flip[:, None], offsets * flip
-    possible = (found @ axis > np.cos(np.radians(TILT))) & ((centers @ found.T).min(0) > offsets)
+    possible = (found @ axis > np.cos(np.radians(MAX_NORMAL_TILT))) & ((centers @ found.T).min(0) > offsets)
     found, offsets = found[possible], offsets[possible]
     if len(found) == 0:
         return None
-    off = (points @ found.T - offsets) / (TOLERANCE * depths[:, None])
+    off = (points @ found.T - offsets) / (PLANE_TOLERANCE * depths[:, None])
     # Points right on a plane count most: one that passes between two levels has many near it, but few on it.
-    on = ((np.abs(off) < 1) / (1 + (off / SHARPNESS) ** 2)).sum(0) - BELOW * (off < -3).sum(0)
+    on = ((np.abs(off) < 1) / (1 + (off / PLANE_HALF_WEIGHT) ** 2)).sum(0) - BELOW_PLANE_WEIGHT * (off < -3).sum(0)
     best = int(np.argmax(on))
     normal, offset = found[best], float(offsets[best])
-    for _ in range(_REFITS):
-        near = np.abs(points @ normal - offset) < TOLERANCE * depths
+    for _ in range(_PLANE_REFITS):
+        near = np.abs(points @ normal - offset) < PLANE_TOLERANCE * depths
         if near.sum() < 10:
             return None
-        off_plane = (points[near] @ normal - offset) / (TOLERANCE * depths[near])
-        weights = 1 / (depths[near] ** 2 * (1 + (off_plane / SHARPNESS) ** 2))
+        off_plane = (points[near] @ normal - offset) / (PLANE_TOLERANCE * depths[near])
+        weights = 1 / (depths[near] ** 2 * (1 + (off_plane / PLANE_HALF_WEIGHT) ** 2))
         middle = np.average(points[near], axis=0, weights=weights)
         spread = ((points[near] - middle) * weights[:, None]).T @ (points[near] - middle)
         fitted = np.linalg.eigh(spread)[1][:, 0]

@@ -12,8 +12,8 @@ from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.flow import FlowEstimator, compose, dis_estimator, forward_backward_confidence
 from flowsplat.scenes import Scene
 
-STRIDES = (1, 2, 4, 8, 16)
-"""Steps between training frames, each twice the one before."""
+FLOW_STRIDES = (1, 2, 4, 8, 16)
+"""Steps between training frames, each twice the one before (docs/method.md, "Flow, masks and depth")."""
 
 
 def compute_working_size(scene: Scene) -> tuple[int, int]:
@@ -38,13 +38,13 @@ class LongFlows:
     def neighbors(self, k: int) -> list[int]:
         """Return the positions one, two, four, eight and sixteen steps before and after ``k`` that can be matched with it."""
         count = len(self._scene.train_frames)
-        around = [j for stride in STRIDES for j in (k - stride, k + stride) if 0 <= j < count]
+        around = [j for stride in FLOW_STRIDES for j in (k - stride, k + stride) if 0 <= j < count]
         return [j for j in around if self._continuity.are_joined(k, j)]
 
     def forget(self, before: int) -> None:
         """Drop what no frame from position ``before`` on needs."""
         self._flows = {pair: flow for pair, flow in self._flows.items() if max(pair) >= before}
-        self._frames = {k: image for k, image in self._frames.items() if k >= before - STRIDES[-1]}
+        self._frames = {k: image for k, image in self._frames.items() if k >= before - FLOW_STRIDES[-1]}
         self._turns.clear()
 
     def matches(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:

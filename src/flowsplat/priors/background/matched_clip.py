@@ -21,18 +21,18 @@ from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.scenes import Scene
 
-PARALLAX = 25.0
+SURE_PARALLAX_INFORMATION = 25.0
 """Squared working pixels of information above which a depth is sure: 4 % per 0.2 pixels of noise."""
 
-RESTS = 3.0
-"""Multiples of the noise up to which the matches of a pixel are those of a scene at rest."""
+MAX_REST_NOISES = 3.0
+"""Multiples of the noise up to which the matches of a pixel are those of a scene at rest. Chosen by eye."""
 
 MIN_SURE_SHARE = 0.03
-"""Share of pixels with sure depth from which a clip has parallax."""
+"""Share of pixels with sure depth from which a clip has parallax (docs/method.md, "Flow, masks and depth")."""
 
 WEAK_PARALLAX, MIN_WEAK_SHARE = 2.0, 0.3
-"""The same where all is less sure: 14 % per 0.2 pixels of noise, but known of so many pixels. Still far better than a guess:
-on a rendered room a camera that turns and travels by 0.6 degrees of parallax gives depth that is 4 % off, guessed 28 %."""
+"""The same where all is less sure: 14 % per 0.2 pixels of noise, but known of so many pixels. Still far better than a guess: on a
+rendered room a camera that turns and travels by 0.6 degrees of parallax gives depth that is 4 % off, guessed 28 %."""
 
 SOLUTIONS = "multiview"
 """Folder of the scene with the solutions, of no use once masks and depth exist."""
@@ -65,7 +65,7 @@ class MatchedClip:
         self._folder = scene.folder / SOLUTIONS / digest
         self._solve(estimate)
         samples = [self[k] for k in range(0, len(self), max(1, len(self) // 24))]
-        self.median = _median(samples, PARALLAX, MIN_SURE_SHARE)
+        self.median = _median(samples, SURE_PARALLAX_INFORMATION, MIN_SURE_SHARE)
         self.has_sure_depth = self.median > 0
         if not self.has_sure_depth:
             self.median = _median(samples, WEAK_PARALLAX, MIN_WEAK_SHARE)
@@ -122,6 +122,6 @@ class MatchedClip:
 
 def _median(solutions: Sequence[MultiView], information: float, enough: float) -> float:
     """Return inverse depth, the median of resting pixels with more information; 0 where they are less than that share of all."""
-    at_rest = [(s.information > information) & (s.motion < RESTS) for s in solutions]
+    at_rest = [(s.information > information) & (s.motion < MAX_REST_NOISES) for s in solutions]
     known = np.concatenate([s.inverse_depth[rest] for s, rest in zip(solutions, at_rest, strict=True)])
     return float(np.median(known)) if len(known) >= enough * sum(rest.size for rest in at_rest) else 0.0

@@ -17,19 +17,20 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.flow import lengths
 
 ROBUST_SCALE = 0.5
-"""Working pixels: a residual of this size has half its weight (Cauchy)."""
+"""Working pixels: a residual of this size has half its weight (Cauchy). Chosen by eye."""
 
-ITERATIONS = 5
+DEPTH_ITERATIONS = 5
+"""Gauss-Newton steps for every pixel. Chosen by eye."""
 
 RIM_PARTS = 12
-"""The outermost this many-th part of the image on each side is its rim."""
+"""The outermost this many-th part of the image on each side is its rim. Chosen by eye."""
 
-LEAST_RIM = 50
-"""Matches on the rim that are enough to judge by."""
+MIN_RIM_MATCHES = 50
+"""Matches on the rim that are enough to judge by. Chosen by eye."""
 
-CALMER = 2.0
+MAX_RIM_NOISE_FACTOR = 2.0
 """Times the median error on the rim is the most that counts as noise. The median of all matches is below it in clips whose
-objects fill less than half of the image."""
+objects fill less than half of the image. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -97,8 +98,8 @@ def _motion(errors: np.ndarray, weights: np.ndarray, lengths: np.ndarray) -> np.
         used = weights[..., j] > 0
         if used.any():
             middle = np.median(errors[..., j][used])
-            if (used & rim).sum() >= LEAST_RIM:
-                middle = min(middle, CALMER * np.median(errors[..., j][used & rim]))
+            if (used & rim).sum() >= MIN_RIM_MATCHES:
+                middle = min(middle, MAX_RIM_NOISE_FACTOR * np.median(errors[..., j][used & rim]))
             noise = 0.1 + 0.01 * lengths[..., j] + middle
             total += np.where(used, errors[..., j] / noise, 0)
             count += used
@@ -155,7 +156,7 @@ def _solve(
                 if cost < best_cost:
                     best, best_cost, known = guess, cost, True
             inverse = best
-            for _ in range(ITERATIONS if known else 0):
+            for _ in range(DEPTH_ITERATIONS if known else 0):
                 g, H = np.float32(0), tiny
                 for j in range(J):
                     if weights[y, x, j] > 0:

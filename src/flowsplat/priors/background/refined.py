@@ -16,13 +16,17 @@ from flowsplat.priors.background.fill import upsample
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth
 
-VOTERS = (2, 4, 8, 16)
-"""Training frames before and after, which vote on the depth of a frame's pixels."""
+VOTING_OFFSETS = (2, 4, 8, 16)
+"""Training frames before and after, which vote on the depth of a frame's pixels (docs/method.md, "Flow, masks and depth")."""
 REFINEMENT_ROUNDS = 2
-"""Of both: edges are found again from what frames agreed on, and what is found is agreed on again."""
-AGREED = 0.9
-"""Share of the votes from which a pixel is not asked about once more, unless one that is lies within ``BESIDE`` pixels."""
-BESIDE = 4
+"""Of both: edges are found again from what frames agreed on, and what is found is agreed on again. Chosen on workshop and garden
+(docs/method.md, "Flow, masks and depth"; docs/results.md)."""
+AGREED_VOTE_SHARE = 0.9
+"""Share of the votes from which a pixel is not asked about once more, unless one that is lies within ``DISAGREEMENT_RADIUS``
+pixels. Chosen on workshop and garden (docs/method.md, "Flow, masks and depth"; docs/results.md)."""
+DISAGREEMENT_RADIUS = 4
+"""Pixels around one that frames do not agree on which are asked about, too (docs/method.md, "Flow, masks and depth").
+Chosen by eye."""
 
 Planes = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Inverse depth of a training frame, the weight of its matches, and the share of the frames that agree, each [H, W] float32."""
@@ -33,13 +37,13 @@ class RefinedDepth:
 
     def __init__(self, clip: MatchedClip, background: StaticDepth, has_masks: bool):
         self._clip, self._background, self._has_masks = clip, background, has_masks
-        self._edges = EdgeRefiner(clip, has_masks, REFINEMENT_ROUNDS * (VOTERS[-1] + 4))
-        self._moving = compute_once(self._find_moving, 2 * VOTERS[-1] + 4)
+        self._edges = EdgeRefiner(clip, has_masks, REFINEMENT_ROUNDS * (VOTING_OFFSETS[-1] + 4))
+        self._moving = compute_once(self._find_moving, 2 * VOTING_OFFSETS[-1] + 4)
         depth: Callable[[int], Planes] = self._coarse
         self._rounds: list[Callable[[int], Planes]] = []
         for n in range(REFINEMENT_ROUNDS if clip.has_parallax else 0):
             # The first frame of a later round asks for frames ahead that ask for frames ahead of theirs.
-            kept = 2 * (REFINEMENT_ROUNDS - n) * VOTERS[-1] + 4
+            kept = 2 * (REFINEMENT_ROUNDS - n) * VOTING_OFFSETS[-1] + 4
             self._rounds.append(compute_once(self._sharpen(depth, first=n == 0), kept))
             depth = compute_once(self._vote(self._rounds[n]), kept)
         self._depth = depth
@@ -51,11 +55,11 @@ class RefinedDepth:
 
     def walk(self, then: Callable[[int], None], frames: Sequence[int]) -> Iterator[Callable[[], object]]:
         """Yield what to do, one after the other or a few at once, to do ``then`` with these frames: first what others ask of it."""
-        ahead, rounds = VOTERS[-1] + 1, len(self._rounds)
+        ahead, rounds = VOTING_OFFSETS[-1] + 1, len(self._rounds)
         first, last = frames[0], frames[-1]
         for step in range(first - 2 * rounds * ahead, last + 1):
             for n, work in enumerate(self._rounds):
-                reach, k = (rounds - n) * VOTERS[-1], step + (rounds - n) * ahead
+                reach, k = (rounds - n) * VOTING_OFFSETS[-1], step + (rounds - n) * ahead
                 if max(first - reach, 0) <= k <= min(last + reach, len(self._clip) - 1):
                     yield partial(work, k)
             if step in frames:
@@ -72,10 +76,10 @@ class RefinedDepth:
         return upsample(inverse, frame, *size), np.maximum(smooth, 0), np.ones_like(smooth)
 
     def _sharpen(self, depth: Callable[[int], Planes], first: bool) -> Callable[[int], Planes]:
-        around = np.ones((2 * BESIDE + 1, 2 * BESIDE + 1), np.uint8)
+        around = np.ones((2 * DISAGREEMENT_RADIUS + 1, 2 * DISAGREEMENT_RADIUS + 1), np.uint8)
 
         def doubted(share: np.ndarray) -> np.ndarray | None:
-            return None if first else cv2.dilate((share < AGREED).astype(np.uint8), around) > 0
+            return None if first else cv2.dilate((share < AGREED_VOTE_SHARE).astype(np.uint8), around) > 0
 
         def sharpened(k: int) -> Planes:
             inverse, weight, share = depth(k)
@@ -86,7 +90,7 @@ class RefinedDepth:
     def _vote(self, depth: Callable[[int], Planes]) -> Callable[[int], Planes]:
         def agreed_upon(k: int) -> Planes:
             clip, (inverse, weight, _) = self._clip, depth(k)
-            near = [j for offset in VOTERS for j in (k - offset, k + offset) if 0 <= j < len(clip)]
+            near = [j for offset in VOTING_OFFSETS for j in (k - offset, k + offset) if 0 <= j < len(clip)]
             others = [(depth(j)[0], ~self._moving(j)[1], self._camera(j)) for j in near if clip.continuity.same_piece(k, j)]
             inverse, share = vote_on_depth(inverse, ~self._moving(k)[0], self._camera(k), others)
             return inverse, weight, share

@@ -15,34 +15,37 @@ from flowsplat.priors.background.fuse import fuse
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.reprojection import reproject, uncover
 
-FUSED_WITH = (2, 4, 8, 16)
-"""Training frames before and after, whose depth is fused with a frame's own."""
+FUSION_OFFSETS = (2, 4, 8, 16)
+"""Training frames before and after, whose depth is fused with a frame's own. Chosen by eye."""
 
-PLATE_FROM = (2, 4, 8, 16, 24)
-"""Training frames before and after, from which hidden background is taken."""
+PLATE_OFFSETS = (2, 4, 8, 16, 24)
+"""Training frames before and after, from which hidden background is taken. Chosen by eye."""
 
 MAX_INVERSE_DEPTH, MIN_INVERSE_DEPTH = 20.0, 0.01
-"""Inverse depths above the first multiple of the clip's median are mistakes; those below the second are as good as at it."""
+"""Inverse depths above the first multiple of the clip's median are mistakes; those below the second are as good as at it.
+Chosen by eye."""
 
 SURE_WEIGHT = 5.0
-"""Weight from which a value speaks for pixels of other frames, and below which it gives way to theirs."""
+"""Weight from which a value speaks for pixels of other frames, and below which it gives way to theirs. Chosen by eye."""
 
 GUESS_WEIGHT = 6.0
-"""Weight of a guess: little more than what is trusted."""
+"""Weight of a guess: little more than what is trusted. Chosen by eye."""
 
-_REJECTED = 0.02
-"""What remains of a weight that more neighbors contradict than confirm."""
+_REJECTED_WEIGHT_FACTOR = 0.02
+"""What remains of a weight that more neighbors contradict than confirm. Chosen by eye."""
 
 _PLATE_SMOOTHNESS = 100.0
+"""Of the smoother that fills the background behind objects, which follows no edges. Chosen by eye."""
 
-_NOTHING = 1e-3
-"""Share of pixels with a known value, below which a frame's depth is guessed."""
+_MIN_KNOWN_SHARE = 1e-3
+"""Share of pixels with a known value, below which a frame's depth is guessed. Chosen by eye."""
 
 CONFIRMING_FRAMES = 24
 """Frames, evenly over a piece of the clip, before whose static scene an object stands. The depth of frames far apart differs by
-some percent, and where an object were behind what one of them saw, it would make that vanish."""
+some percent, and where an object were behind what one of them saw, it would make that vanish (docs/method.md, "Flow, masks and
+depth")."""
 
-_KEPT_FRAMES = 2 * PLATE_FROM[-1] + 16 + CONFIRMING_FRAMES
+_KEPT_FRAMES = 2 * PLATE_OFFSETS[-1] + 16 + CONFIRMING_FRAMES
 """Frames in memory: on a walk over the clip every one is asked for again until it lies behind the furthest neighbor."""
 
 
@@ -133,7 +136,7 @@ class Background:
     def __init__(self, clip: MatchedClip, has_masks: bool):
         self.median = clip.median
         self._clip, self._has_masks = clip, has_masks
-        self._own = compute_once(self._weigh, 2 * FUSED_WITH[-1] + 4)
+        self._own = compute_once(self._weigh, 2 * FUSION_OFFSETS[-1] + 4)
         self._uncovered = compute_once(self._uncover, 8)
         # Objects are placed, and then drawn, on two walks over the clip.
         self._plates = compute_once(self._plate, len(clip))
@@ -197,7 +200,7 @@ class Background:
 
     def _uncover(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         values, weights, camera = self._fused(k)
-        others = [self.sure(j) for j in self._list_around(k, PLATE_FROM)]
+        others = [self.sure(j) for j in self._list_around(k, PLATE_OFFSETS)]
         return uncover(_dilate_objects(self.mask(k)) | (weights < SURE_WEIGHT), values, weights, camera, others)
 
     def _weigh(self, k: int) -> tuple[np.ndarray, np.ndarray, Camera]:
@@ -212,8 +215,8 @@ class Background:
 
     def _fuse(self, k: int) -> tuple[np.ndarray, np.ndarray, Camera]:
         values, weights, camera = self._own(k)
-        inverse, mass, votes = fuse(values, weights, camera, [self._own(j) for j in self._list_around(k, FUSED_WITH)])
-        mass = np.where(votes >= 0, mass, np.float32(_REJECTED) * mass) * _away_from_edges(inverse, weights)
+        inverse, mass, votes = fuse(values, weights, camera, [self._own(j) for j in self._list_around(k, FUSION_OFFSETS)])
+        mass = np.where(votes >= 0, mass, np.float32(_REJECTED_WEIGHT_FACTOR) * mass) * _away_from_edges(inverse, weights)
         return inverse, mass, camera
 
     def sure(self, k: int) -> tuple[np.ndarray, np.ndarray, Camera]:
@@ -235,7 +238,7 @@ def guess_ground(height: int, width: int, median: float) -> np.ndarray:
 
 
 def _is_unknown(weights: np.ndarray) -> bool:
-    return float((weights > 0).mean()) < _NOTHING
+    return float((weights > 0).mean()) < _MIN_KNOWN_SHARE
 
 
 def _dilate_objects(mask: np.ndarray) -> np.ndarray:

@@ -21,21 +21,22 @@ from scipy.spatial.transform import Rotation
 from flowsplat.common.kernels import kernel
 from flowsplat.priors.cameras.bundle import BundleObservations, Reconstruction, adjust
 from flowsplat.priors.cameras.refinement import place_points, track_errors
-from flowsplat.priors.cameras.twoview import LEAST_COMMON, essential, intrinsics
+from flowsplat.priors.cameras.twoview import MIN_COMMON_TRACKS, essential, intrinsics
 
-STRIDES = (1, 2, 3, 5, 8, 12, 20, 32)
-"""Distances in time of the frames that are compared."""
-TURNS_ONLY = 0.9
-"""Share of the matches of an epipolar geometry that a mere turn must explain, so that the turn is taken."""
+FRAME_STRIDES = (1, 2, 3, 5, 8, 12, 20, 32)
+"""Distances in time of the frames that are compared (docs/method.md, "Cameras")."""
+MIN_PURE_TURN_SHARE = 0.9
+"""Share of the matches of an epipolar geometry that a mere turn must explain, so that the turn is taken. Chosen by eye."""
 MAX_TURN_ERROR = 1.5
-"""Pixels by which matches may miss a turn and still follow it."""
+"""Pixels by which matches may miss a turn and still follow it. Chosen by eye."""
 ROTATION_SCALE = np.radians(0.5)
-"""Disagreement between two rotations from which a pair loses its influence."""
+"""Disagreement between two rotations from which a pair loses its influence. Chosen by eye."""
 RAY_SCALE = 0.01
-"""Radians by which a ray may miss its point before it loses its influence."""
+"""Radians by which a ray may miss its point before it loses its influence. Chosen by eye."""
 AVERAGING_ROUNDS = 12
-COARSE = (8.0, 3.0)
-"""Scales of the Cauchy cost, in pixels, of the first adjustments: averaged rotations are off by a few pixels."""
+"""Rounds of reweighting of the averaged rotations. Chosen by eye."""
+COARSE_SCALES = (8.0, 3.0)
+"""Scales of the Cauchy cost, in pixels, of the first adjustments: averaged rotations are off by a few pixels. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -64,13 +65,13 @@ def start_by_averaging(positions: np.ndarray, seen: np.ndarray, focal: float) ->
         return None
     views = seen[:, frames]
     often = views.sum(1) >= 2
-    if often.sum() < LEAST_COMMON:
+    if often.sum() < MIN_COMMON_TRACKS:
         return None
     pixels, views = positions[np.ix_(often, frames)], views[often]
     centers = position_cameras(rotations[frames], pixels, views, focal)
     translations = -np.einsum("tij,tj->ti", rotations[frames], centers)
     state = Reconstruction(rotations[frames], translations, focal, np.zeros((len(views), 3)))
-    for scale in COARSE:
+    for scale in COARSE_SCALES:
         state = _adjust(state, pixels, views, scale)
     turned, moved = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
     turned[frames], moved[frames] = state.rotations, state.translations
@@ -93,13 +94,13 @@ def _adjust(state: Reconstruction, positions: np.ndarray, seen: np.ndarray, scal
 
 
 def pair_rotations(positions: np.ndarray, seen: np.ndarray, focal: float) -> list[Turn]:
-    """Return rotations between frames at all distances of ``STRIDES`` that share enough tracks."""
+    """Return rotations between frames at all distances of ``FRAME_STRIDES`` that share enough tracks."""
     count = seen.shape[1]
     turns = []
-    for stride in STRIDES:
+    for stride in FRAME_STRIDES:
         for i in range(count - stride):
             both = seen[:, i] & seen[:, i + stride]
-            if both.sum() >= LEAST_COMMON:
+            if both.sum() >= MIN_COMMON_TRACKS:
                 turn = _pair_rotation(positions[both, i].astype(float), positions[both, i + stride].astype(float), focal)
                 if turn is not None:
                     turns.append(Turn(i, i + stride, *turn))
@@ -111,10 +112,10 @@ def _pair_rotation(a: np.ndarray, b: np.ndarray, focal: float) -> tuple[np.ndarr
     rays = np.concatenate([a / focal, np.ones((len(a), 1))], 1) @ turn.T
     follows = np.linalg.norm(rays[:, :2] / np.maximum(rays[:, 2:], 1e-6) * focal - b, axis=1) < MAX_TURN_ERROR
     found = essential(a, b, focal)
-    if found is None or found[1].sum() < LEAST_COMMON // 2:
+    if found is None or found[1].sum() < MIN_COMMON_TRACKS // 2:
         return (turn, float(follows.mean())) if follows.mean() > 0.5 else None
     matrix, inliers = found
-    if follows.sum() >= TURNS_ONLY * inliers.sum():
+    if follows.sum() >= MIN_PURE_TURN_SHARE * inliers.sum():
         return turn, float(follows.mean())
     _, rotation, _, front = cv2.recoverPose(matrix, a[inliers], b[inliers], intrinsics(focal))
     return rotation, float((front > 0).sum()) / len(a)

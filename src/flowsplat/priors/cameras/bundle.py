@@ -18,14 +18,14 @@ from flowsplat.common.kernels import kernel
 
 MIN_DEPTH = 1e-4
 """Depths below this are replaced by it: such an observation is an outlier and only has to stay finite."""
-GROUP = 256
-"""Points that are eliminated together."""
-LENS = 2
+POINTS_PER_GROUP = 256
+"""Points that are eliminated together. Chosen by eye."""
+LENS_PARAMETERS = 2
 """Parameters that all cameras share: the distortion, then the logarithm of the focal length."""
-LEAST_INVERSE = 0.1
-"""Share of a point's inverse distance that a step leaves at least."""
+MIN_INVERSE_LEFT = 0.1
+"""Share of a point's inverse distance that a step leaves at least. Chosen by eye."""
 USUAL_DISTORTION = 0.3
-"""Distortion that costs as much as a focal length that is wrong by a factor of e."""
+"""Distortion that costs as much as a focal length that is wrong by a factor of e. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class CameraPrior(Protocol):
         """Return square pixels."""
 
     def add_to(self, H: np.ndarray, g: np.ndarray, state: Reconstruction) -> None:
-        """Add the gradient and the curvature to the normal equations [6T + LENS], in place."""
+        """Add the gradient and the curvature to the normal equations [6T + LENS_PARAMETERS], in place."""
 
 
 @dataclass(frozen=True)
@@ -186,12 +186,12 @@ def adjust(
 
 
 def free_parameters(count: int, fixed_camera: int, focal: bool, distortion: bool, translations: bool = True) -> np.ndarray:
-    """Return indices of the parameters [6 count + LENS] of poses and lens that may change."""
-    free = np.ones(6 * count + LENS, bool)
+    """Return indices of the parameters [6 count + LENS_PARAMETERS] of poses and lens that may change."""
+    free = np.ones(6 * count + LENS_PARAMETERS, bool)
     free[6 * fixed_camera : 6 * fixed_camera + 6] = False
     if not translations:
-        free[:-LENS].reshape(count, 6)[:, 3:] = False
-    free[-LENS:] = distortion, focal
+        free[:-LENS_PARAMETERS].reshape(count, 6)[:, 3:] = False
+    free[-LENS_PARAMETERS:] = distortion, focal
     return np.flatnonzero(free)
 
 
@@ -201,7 +201,7 @@ def compute_scale_direction(state: Reconstruction, fixed_camera: int) -> np.ndar
 
 
 def information(state: Reconstruction, seen: BundleObservations, scale: float, priors: Sequence[CameraPrior]) -> np.ndarray:
-    """Curvature [6T + LENS, 6T + LENS] of the cost along poses and lens, once all points have adapted."""
+    """Curvature [6T + LENS_PARAMETERS, 6T + LENS_PARAMETERS] of the cost along poses and lens, once all points have adapted."""
     first = np.searchsorted(seen.point, np.arange(len(state.points) + 1))
     H, g, Hp, gp, cross, cross_lens = _linearize(*_plain(state, seen), scale)
     for each in priors:
@@ -252,7 +252,7 @@ def _total(state: Reconstruction, seen: BundleObservations, scale: float, priors
 
 
 def _move(state: Reconstruction, step: np.ndarray, points: np.ndarray) -> Reconstruction:
-    poses = step[:-LENS].reshape(-1, 6)
+    poses = step[:-LENS_PARAMETERS].reshape(-1, 6)
     return replace(
         state,
         rotations=Rotation.from_rotvec(poses[:, :3]).as_matrix() @ state.rotations,
@@ -269,10 +269,10 @@ def _remove_scale(
     """Return a step without its share of a change of scale about the fixed camera, which no image tells: it is small where all
     is."""
     middle, travel = state.centers[fixed_camera], compute_scale_direction(state, fixed_camera)
-    poses = step[:-LENS].reshape(-1, 6)
+    poses = step[:-LENS_PARAMETERS].reshape(-1, 6)
     scale = float((travel * poses[:, 3:]).sum()) / max(float((travel**2).sum()), 1e-18)
     kept = step.copy()
-    kept[:-LENS].reshape(-1, 6)[:, 3:] -= scale * travel
+    kept[:-LENS_PARAMETERS].reshape(-1, 6)[:, 3:] -= scale * travel
     return kept, point_steps - scale * (state.points - middle)
 
 
@@ -287,7 +287,7 @@ def _step(points: np.ndarray, steps: np.ndarray, center: np.ndarray) -> np.ndarr
     square = np.maximum((offset**2).sum(1, keepdims=True), 1e-24)
     outwards = (offset * steps).sum(1, keepdims=True) / square
     aside = steps - outwards * offset
-    return center + (offset + aside) / np.maximum(1 - outwards, LEAST_INVERSE)
+    return center + (offset + aside) / np.maximum(1 - outwards, MIN_INVERSE_LEFT)
 
 
 def _invert_damped(Hp: np.ndarray, damping: float) -> np.ndarray:
@@ -305,11 +305,11 @@ def _linearize(R, t, focal, k1, X, camera, point, uv, scale):
 
     Those between cameras and points are one an observation [M, 6, 3], those between lens and points one a point [N, 3, 2].
     """
-    size = 6 * len(R) + LENS
+    size = 6 * len(R) + LENS_PARAMETERS
     H, g = np.zeros((size, size)), np.zeros(size)
     Hp, gp = np.zeros((len(X), 3, 3)), np.zeros((len(X), 3))
-    cross, cross_lens = np.zeros((len(camera), 6, 3)), np.zeros((len(X), 3, LENS))
-    Jc, Jp, Jl, r = np.zeros((2, 6)), np.zeros((2, 3)), np.zeros((2, LENS)), np.zeros(2)
+    cross, cross_lens = np.zeros((len(camera), 6, 3)), np.zeros((len(X), 3, LENS_PARAMETERS))
+    Jc, Jp, Jl, r = np.zeros((2, 6)), np.zeros((2, 3)), np.zeros((2, LENS_PARAMETERS)), np.zeros(2)
     for m in range(len(camera)):
         c, n = camera[m], point[m]
         M = R[c]
@@ -340,22 +340,22 @@ def _linearize(R, t, focal, k1, X, camera, point, uv, scale):
                 H[o + i, o + j] += w * (Jc[0, i] * Jc[0, j] + Jc[1, i] * Jc[1, j])
             for j in range(3):
                 cross[m, i, j] = w * (Jc[0, i] * Jp[0, j] + Jc[1, i] * Jp[1, j])
-            for j in range(LENS):
-                H[size - LENS + j, o + i] += w * (Jc[0, i] * Jl[0, j] + Jc[1, i] * Jl[1, j])
+            for j in range(LENS_PARAMETERS):
+                H[size - LENS_PARAMETERS + j, o + i] += w * (Jc[0, i] * Jl[0, j] + Jc[1, i] * Jl[1, j])
             g[o + i] -= w * (Jc[0, i] * r[0] + Jc[1, i] * r[1])
-        for i in range(LENS):
-            for j in range(LENS):
-                H[size - LENS + i, size - LENS + j] += w * (Jl[0, i] * Jl[0, j] + Jl[1, i] * Jl[1, j])
-            g[size - LENS + i] -= w * (Jl[0, i] * r[0] + Jl[1, i] * r[1])
+        for i in range(LENS_PARAMETERS):
+            for j in range(LENS_PARAMETERS):
+                H[size - LENS_PARAMETERS + i, size - LENS_PARAMETERS + j] += w * (Jl[0, i] * Jl[0, j] + Jl[1, i] * Jl[1, j])
+            g[size - LENS_PARAMETERS + i] -= w * (Jl[0, i] * r[0] + Jl[1, i] * r[1])
         for i in range(3):
             for j in range(3):
                 Hp[n, i, j] += w * (Jp[0, i] * Jp[0, j] + Jp[1, i] * Jp[1, j])
-            for j in range(LENS):
+            for j in range(LENS_PARAMETERS):
                 cross_lens[n, i, j] += w * (Jl[0, j] * Jp[0, i] + Jl[1, j] * Jp[1, i])
             gp[n, i] -= w * (Jp[0, i] * r[0] + Jp[1, i] * r[1])
-    for i in range(size - LENS):
-        for j in range(LENS):
-            H[i, size - LENS + j] = H[size - LENS + j, i]
+    for i in range(size - LENS_PARAMETERS):
+        for j in range(LENS_PARAMETERS):
+            H[i, size - LENS_PARAMETERS + j] = H[size - LENS_PARAMETERS + j, i]
     return H, g, Hp, gp, cross, cross_lens
 
 
@@ -369,8 +369,8 @@ def _eliminate_points(
     is one call to BLAS. Tracks in the order of their birth make groups that span few frames.
     """
     roots = np.linalg.cholesky(inverse)
-    for low in range(0, len(gp), GROUP):
-        high = min(low + GROUP, len(gp))
+    for low in range(0, len(gp), POINTS_PER_GROUP):
+        high = min(low + POINTS_PER_GROUP, len(gp))
         m = slice(first[low], first[high])
         if m.start == m.stop:
             continue
@@ -383,23 +383,23 @@ def _eliminate_points(
         product = factor @ factor.T
         right = factor @ np.einsum("nji,nj->ni", roots[low:high], gp[low:high]).ravel()
         cameras = slice(6 * begin, 6 * end)
-        S[cameras, cameras] -= product[:-LENS, :-LENS]
-        S[-LENS:, cameras] -= product[-LENS:, :-LENS]
-        S[-LENS:, -LENS:] -= product[-LENS:, -LENS:]
-        b[cameras] -= right[:-LENS]
-        b[-LENS:] -= right[-LENS:]
+        S[cameras, cameras] -= product[:-LENS_PARAMETERS, :-LENS_PARAMETERS]
+        S[-LENS_PARAMETERS:, cameras] -= product[-LENS_PARAMETERS:, :-LENS_PARAMETERS]
+        S[-LENS_PARAMETERS:, -LENS_PARAMETERS:] -= product[-LENS_PARAMETERS:, -LENS_PARAMETERS:]
+        b[cameras] -= right[:-LENS_PARAMETERS]
+        b[-LENS_PARAMETERS:] -= right[-LENS_PARAMETERS:]
 
 
 @kernel
 def _group_factor(first, camera, cross, cross_lens, roots, cameras):
     """[6 cameras + 2, 3 points]: the blocks between cameras with lens and points, times the roots of the inverses."""
     count = len(roots)
-    result = np.zeros((6 * cameras + LENS, 3 * count))
+    result = np.zeros((6 * cameras + LENS_PARAMETERS, 3 * count))
     for n in range(count):
         L = roots[n]
         for j in range(3):
             for k in range(j, 3):
-                for i in range(LENS):
+                for i in range(LENS_PARAMETERS):
                     result[6 * cameras + i, 3 * n + j] += cross_lens[n, k, i] * L[k, j]
         for m in range(first[n], first[n + 1]):
             o = 6 * camera[m]
@@ -435,8 +435,8 @@ def _point_steps(first, camera, cross, cross_lens, inverse, gp, step):
     for n in range(len(gp)):
         for j in range(3):
             v[j] = gp[n, j]
-            for i in range(LENS):
-                v[j] -= cross_lens[n, j, i] * step[len(step) - LENS + i]
+            for i in range(LENS_PARAMETERS):
+                v[j] -= cross_lens[n, j, i] * step[len(step) - LENS_PARAMETERS + i]
         for m in range(first[n], first[n + 1]):
             o = 6 * camera[m]
             for j in range(3):

@@ -10,16 +10,16 @@ import numpy as np
 from flowsplat.priors.cameras.estimate import CameraEstimate
 
 UNCERTAIN_FOCAL = 0.05
-"""Standard deviation of log focal from which the focal length counts as a guess."""
+"""Standard deviation of log focal from which the focal length counts as a guess. Chosen by eye."""
 LARGE_ERROR = 0.5
-"""Pixels of the working size from which the fit counts as poor (docs/method.md, "Evaluation protocols": half a pixel costs 3
-dB)."""
+"""Pixels of the working size from which the fit counts as poor (docs/method.md, "Evaluation protocols": half a pixel costs 3 dB).
+"""
 MIN_PARALLAX = 0.5
-"""Degrees below which depth from the camera's motion counts as uncertain."""
-FEW_STATIC = 0.4
-"""Share of static tracks below which the cameras may follow something that moves."""
-MOST_NAMED = 6
-"""Frames or stretches of frames that a sentence lists."""
+"""Degrees below which depth from the camera's motion counts as uncertain. Chosen by eye."""
+MIN_STATIC_SHARE = 0.4
+"""Share of static tracks below which the cameras may follow something that moves. Chosen by eye."""
+MAX_NAMED_FRAMES = 6
+"""Frames or stretches of frames that a sentence lists. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def verdict(found: CameraEstimate, unit: float, width: int, focal_given: bool, g
             sentences.append("The focal length is a guess: this motion hardly shows it.")
     if found.surrounds:
         sentences.append("Something that moves fills most of the image: the camera was taken from what is seen round it.")
-    elif found.motion == "free" and fit.static.mean() < FEW_STATIC:
+    elif found.motion == "free" and fit.static.mean() < MIN_STATIC_SHARE:
         sentences.append(f"Only {100 * fit.static.mean():.0f} % of what was followed stands still: this may be another motion.")
     return " ".join([*sentences, *_gaps(gaps), *(sentence for sentence in more if sentence)])
 
@@ -109,6 +109,6 @@ def _stretches(frames: Sequence[int]) -> str:
 
 
 def _join_names(names: Sequence[str]) -> str:
-    more = [f"{len(names) - MOST_NAMED} more"] if len(names) > MOST_NAMED else []
-    shown = [*names[:MOST_NAMED], *more]
+    more = [f"{len(names) - MAX_NAMED_FRAMES} more"] if len(names) > MAX_NAMED_FRAMES else []
+    shown = [*names[:MAX_NAMED_FRAMES], *more]
     return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"

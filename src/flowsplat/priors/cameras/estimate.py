@@ -14,34 +14,37 @@ from flowsplat.common.progress import progress_bar
 from flowsplat.priors.cameras.averaging import start_by_averaging
 from flowsplat.priors.cameras.bundle import LensPrior, Reconstruction
 from flowsplat.priors.cameras.growth import grow, ray_angles
-from flowsplat.priors.cameras.keyframes import NEAR_BY, SEARCHED, between, choose_keyframes, place_between
-from flowsplat.priors.cameras.pieces import LEAST_TRACKS
+from flowsplat.priors.cameras.keyframes import MAX_SEARCH_GAP, MAX_SEARCHED_FRAMES, between, choose_keyframes, place_between
+from flowsplat.priors.cameras.pieces import MIN_TRACKS
 from flowsplat.priors.cameras.refinement import Refined, from_middle, misfit, refine, track_errors, with_points
 from flowsplat.priors.cameras.selection import choose_tracks, on_rim
-from flowsplat.priors.cameras.twoview import LEAST_COMMON, chain_rotations, rank_pairs
+from flowsplat.priors.cameras.twoview import MIN_COMMON_TRACKS, chain_rotations, rank_pairs
 
 USUAL_FOCAL = 0.9
-"""Focal length over width that is expected before looking: about 58 degrees across."""
+"""Focal length over width that is expected before looking: about 58 degrees across. Chosen by eye."""
 START_FOCALS = (0.9, 0.6, 1.5)
-"""Focal lengths over width from which the search starts."""
-SUCCESSES = 3
-"""Complete reconstructions after which the search ends."""
-SIMPLER = 1.5
-"""A simpler kind of motion is believed unless a richer one lowers the misfit by more than this factor."""
-NEGLIGIBLE = 0.04
+"""Focal lengths over width from which the search starts. Chosen by eye."""
+MAX_SUCCESSES = 3
+"""Complete reconstructions after which the search ends. Chosen by eye."""
+SIMPLER_MISFIT_RATIO = 1.5
+"""A simpler kind of motion is believed unless a richer one lowers the misfit by more than this factor
+(docs/method.md, "Cameras")."""
+NEGLIGIBLE_MISFIT = 0.04
 """A misfit that errors of a tenth of a pixel cause: below it no richer motion is tried."""
-SAME_FOCAL = 0.005
-"""Two complete reconstructions whose focal lengths differ by less than this fraction are taken for the same."""
-MOST_STARTS = 15
-"""Attempts at a reconstruction, whatever comes of them."""
+FOCAL_TOLERANCE = 0.005
+"""Two complete reconstructions whose focal lengths differ by less than this fraction are taken for the same. Chosen by eye."""
+MAX_STARTS = 15
+"""Attempts at a reconstruction, whatever comes of them. Chosen by eye."""
 MIN_STILL_RIM = 0.5
-"""Share of what is seen along the image's rim that must stand still; below it the cameras follow something in front."""
-FOLLOWS = 0.5
-"""Pixels by which a track may miss its point and still stand still, or four times the median error where that is more."""
-ON_PLANE = 0.97
-"""Share of static tracks that one homography must explain in a scene without depth variation."""
-MOST_JUDGES = 4000
-"""About how many tracks decide between kinds of motion, at most."""
+"""Share of what is seen along the image's rim that must stand still; below it the cameras follow something in front.
+Chosen by eye."""
+MAX_STATIC_ERROR = 0.5
+"""Pixels by which a track may miss its point and still stand still, or four times the median error where that is more.
+Chosen by eye."""
+MIN_HOMOGRAPHY_SHARE = 0.97
+"""Share of static tracks that one homography must explain in a scene without depth variation. Chosen by eye."""
+MAX_JUDGES = 4000
+"""About how many tracks decide between kinds of motion, at most. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,7 @@ def estimate(positions: np.ndarray, width: float, height: float, focal: float | 
         return found
     follows = _follows(found, positions, seen, width, height)
     rim = on_rim(positions, width, height)
-    if _share(follows, rim) >= MIN_STILL_RIM or (~follows).sum() < LEAST_TRACKS:
+    if _share(follows, rim) >= MIN_STILL_RIM or (~follows).sum() < MIN_TRACKS:
         return found
     other = _of_all_frames(positions[~follows], seen[~follows], width, height, focal, solver)
     if other.motion == "unknown":
@@ -100,7 +103,7 @@ def _follows(found: CameraEstimate, positions: np.ndarray, seen: np.ndarray, wid
     """Return [N] the tracks that stand still under the cameras that were found."""
     centered = from_middle(positions, seen, width, height)
     state = with_points(found.fit.state, centered, seen, free_translations=found.motion == "free")
-    limit = max(FOLLOWS, 4 * float(np.median(found.fit.errors)))
+    limit = max(MAX_STATIC_ERROR, 4 * float(np.median(found.fit.errors)))
     return (track_errors(state, centered, seen) < limit) & (seen.sum(1) >= 2)
 
 
@@ -132,33 +135,33 @@ def _of_keyframes(
     expected, free_focal = focal or USUAL_FOCAL * width, focal is None
     tracks, views = centered[few], seen[few]
     standing = _solve_standing(centered, seen, expected)
-    if len(few) < LEAST_TRACKS:
+    if len(few) < MIN_TRACKS:
         return CameraEstimate("unknown", standing, [], 0.0)
     judges = _judges(seen)
 
     def judged(kind: str, state: Reconstruction, judges: np.ndarray = judges) -> float:
         return misfit(state, centered[judges], seen[judges], free_translations=kind == "free")
 
-    rests = judged("static", standing.state) <= NEGLIGIBLE
+    rests = judged("static", standing.state) <= NEGLIGIBLE_MISFIT
     if not rests:
         rim = judges[on_rim(positions[judges], width, height).sum(1) > 0.5 * seen[judges].sum(1)]
-        surrounds = len(rim) >= LEAST_TRACKS and judged("static", standing.state, rim) <= NEGLIGIBLE
+        surrounds = len(rim) >= MIN_TRACKS and judged("static", standing.state, rim) <= NEGLIGIBLE_MISFIT
     if rests or surrounds:
         return CameraEstimate("static", standing, [], 0.0, surrounds=not rests)
     starts = {"static": _Candidate(misfit(standing.state, tracks, views, free_translations=False), standing.state, [], 0)}
-    keys = choose_keyframes(views, SEARCHED, NEAR_BY)
+    keys = choose_keyframes(views, MAX_SEARCHED_FRAMES, MAX_SEARCH_GAP)
     shown = np.flatnonzero(views[:, keys].sum(1) >= 2)
     some, some_views = tracks[np.ix_(shown, keys)], views[np.ix_(shown, keys)]
     turning = _solve_turning(some, some_views, expected, free_focal)
     starts["rotation"] = _on_all_frames(turning, "rotation", keys, tracks, views)
-    if turning.misfit > NEGLIGIBLE:
+    if turning.misfit > NEGLIGIBLE_MISFIT:
         if solver == "global":
             moving = _search_at_once(some, some_views, width, expected, free_focal) or turning
         else:
             moving = _search(some, some_views, width, expected, free_focal, turning.state)
         starts["free"] = _on_all_frames(moving, "free", keys, tracks, views)
-    costs = {kind: judged(kind, start.state) + NEGLIGIBLE for kind, start in starts.items()}
-    motion = next(kind for kind, cost in costs.items() if cost <= SIMPLER * min(costs.values()))
+    costs = {kind: judged(kind, start.state) + NEGLIGIBLE_MISFIT for kind, start in starts.items()}
+    motion = next(kind for kind, cost in costs.items() if cost <= SIMPLER_MISFIT_RATIO * min(costs.values()))
     start = starts[motion]
     if motion == "static":
         return CameraEstimate("static", standing, [], 0.0)
@@ -181,7 +184,7 @@ def _judges(seen: np.ndarray) -> np.ndarray:
     outvotes it.
     """
     longer = np.flatnonzero(seen.sum(1) >= min(3, seen.shape[1]))
-    return longer[:: max(1, len(longer) // MOST_JUDGES)]
+    return longer[:: max(1, len(longer) // MAX_JUDGES)]
 
 
 def _parallax(fit: Refined, seen: np.ndarray) -> float:
@@ -195,17 +198,17 @@ def _is_flat(fit: Refined, centered: np.ndarray, seen: np.ndarray) -> bool:
 
     Told by the images and not by the points: without depth variation the focal length may be far off, and the points bent.
     """
-    limit = max(FOLLOWS, 4 * float(np.median(fit.errors)))
+    limit = max(MAX_STATIC_ERROR, 4 * float(np.median(fit.errors)))
     count = seen.shape[1]
     judged = False
     for i in sorted({0, count // 3, 2 * count // 3}):
         common = (seen[:, i] & fit.static) @ seen[:, i + 1 :].astype(int)
-        enough = np.flatnonzero(common >= max(LEAST_COMMON, 0.5 * (seen[:, i] & fit.static).sum()))
+        enough = np.flatnonzero(common >= max(MIN_COMMON_TRACKS, 0.5 * (seen[:, i] & fit.static).sum()))
         if len(enough):
             both = seen[:, i] & seen[:, i + 1 + enough[-1]] & fit.static
             _, fits = cv2.findHomography(centered[both, i], centered[both, i + 1 + enough[-1]], cv2.RANSAC, limit)
             judged = True
-            if fits is None or fits.mean() < ON_PLANE:
+            if fits is None or fits.mean() < MIN_HOMOGRAPHY_SHARE:
                 return False
     return judged
 
@@ -216,7 +219,7 @@ def _solve_standing(centered: np.ndarray, seen: np.ndarray, focal: float) -> Ref
     state = Reconstruction(np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)), focal, np.zeros((len(seen), 3)))
     weights = seen[..., None] / np.maximum(seen.sum(1), 1)[:, None, None]
     distance = np.linalg.norm(centered - (centered * weights).sum(1, keepdims=True), axis=-1)
-    static = (np.where(seen, distance, 0).max(1, initial=0) < FOLLOWS) & (seen.sum(1) >= 2)
+    static = (np.where(seen, distance, 0).max(1, initial=0) < MAX_STATIC_ERROR) & (seen.sum(1) >= 2)
     resting = seen & static[:, None]
     errors = distance[resting] if resting.any() else np.zeros(1)
     frames = np.nonzero(resting)[1] if resting.any() else np.zeros(1, int)
@@ -258,7 +261,7 @@ def _search(
     on_sphere = with_points(turning, centered, seen, free_translations=False)
     fit = known(on_sphere, centered, seen, fixed_camera=0, keep_points=True)
     found = [_Candidate(misfit(fit.state, centered, seen), fit.state, [], 0)]
-    starts = list(product(rank_pairs(centered, seen, expected), focals))[:MOST_STARTS]
+    starts = list(product(rank_pairs(centered, seen, expected), focals))[:MAX_STARTS]
     prior = LensPrior(expected, 20.0) if free_focal else None
     grown: list[float] = []
     with progress_bar("Camera search", len(starts)) as bar:
@@ -267,11 +270,11 @@ def _search(
             model = grow(centered, seen, pair, focal, prior=prior, free_focal=free_focal)
             if model is not None and model.solid.sum() >= 0.3 * len(seen):
                 if model.placed.all():
-                    again = any(abs(np.log(model.state.focal / other)) < SAME_FOCAL for other in grown)
+                    again = any(abs(np.log(model.state.focal / other)) < FOCAL_TOLERANCE for other in grown)
                     grown.append(model.state.focal)
                 if not (model.placed.all() and again):
                     found.append(_candidate(model.state, model.placed, model.origin, centered, seen, known))
-                if len(grown) >= SUCCESSES:
+                if len(grown) >= MAX_SUCCESSES:
                     break
     return min(found, key=lambda candidate: candidate.misfit)
 

@@ -14,23 +14,23 @@ from flowsplat.priors.tracks.patches import Patches, align
 from flowsplat.scenes import Scene
 
 WORKING_SIDE = 854
-"""Pixels of the longer side at which points are followed; larger images are reduced."""
-CELLS = 2000
-"""About how many points are followed at a time."""
+"""Pixels of the longer side at which points are followed; larger images are reduced. Chosen by eye."""
+POINTS_AT_A_TIME = 2000
+"""About how many points are followed at a time. Chosen by eye."""
 MIN_FLOW_SIDE = 100
-"""Pixels of the shorter side down to which images are halved for the flow that predicts where points went."""
+"""Pixels of the shorter side down to which images are halved for the flow that predicts where points went. Chosen by eye."""
 PATCH_SIDE = 15
-"""Side of the square of pixels that is compared round a point: large, because precision decides."""
+"""Side of the square of pixels that is compared round a point: large, because precision decides (docs/method.md, "Cameras")."""
 MIN_SIMILARITY = 0.6
-"""Structural similarity from which a point's surroundings are still those of the frame that they were cut from."""
-SAME_PLACE = 1.0
-"""Pixels between both answers, from frame to frame and from those surroundings, up to which they are the same."""
-RENEWED = 20
-"""Frames after which a point's surroundings are cut anew."""
+"""Structural similarity from which a point's surroundings are still those of the frame that they were cut from. Chosen by eye."""
+MAX_DISAGREEMENT = 1.0
+"""Pixels between both answers, from frame to frame and from those surroundings, up to which they are the same. Chosen by eye."""
+MAX_PATCH_AGE = 20
+"""Frames after which a point's surroundings are cut anew (docs/method.md, "Cameras")."""
 
 
 class _Surroundings:
-    """What is round each point in the frame in which it was first seen, or in one of the last ``RENEWED`` frames.
+    """What is round each point in the frame in which it was first seen, or in one of the last ``MAX_PATCH_AGE`` frames.
 
     Errors of a point that is followed from frame to frame add up: on rendered clips its median error grows from .03 pixels after
     one frame to .24 after thirty. Compared with the same image each time it stays below .1, and the focal length, which small
@@ -55,10 +55,10 @@ class _Surroundings:
         """Return points [N, 2] of frame ``t`` where their surroundings are the same as before, else where they were."""
         found, shapes, alike = align(self._patches, image, points - np.float32(0.5), self._shapes)
         found += np.float32(0.5)
-        same = (alike > MIN_SIMILARITY) & (np.linalg.norm(found - points, axis=1) < SAME_PLACE)
+        same = (alike > MIN_SIMILARITY) & (np.linalg.norm(found - points, axis=1) < MAX_DISAGREEMENT)
         points = np.where(same[:, None], found, points)
         self._shapes[same] = shapes[same]
-        old = np.flatnonzero(~same | (t - self._since >= RENEWED))
+        old = np.flatnonzero(~same | (t - self._since >= MAX_PATCH_AGE))
         self._patches.replace(old, _cut_patches(image, points[old]))
         self._shapes[old], self._since[old] = np.eye(2), t
         return points
@@ -77,7 +77,7 @@ def follow_points(scene: Scene) -> tuple[np.ndarray, list[int]]:
     factor = min(1.0, WORKING_SIDE / max(scene.width, scene.height))
     size = (max(1, round(scene.width * factor)), max(1, round(scene.height * factor)))
     to_frame = np.array([scene.width / size[0], scene.height / size[1]], np.float32)
-    spacing = max(4, round((size[0] * size[1] / CELLS) ** 0.5))
+    spacing = max(4, round((size[0] * size[1] / POINTS_AT_A_TIME) ** 0.5))
     table = TrackTable()
     numbers, points = np.zeros(0, int), np.zeros((0, 2), np.float32)
     around = _Surroundings()

@@ -12,22 +12,24 @@ from flowsplat.priors.cameras.bundle import MIN_DEPTH, Reconstruction
 from flowsplat.priors.cameras.refinement import track_errors, with_points
 
 MAX_JOINT_FRAMES = 120
-"""Frames up to which all of them are adjusted together."""
-SEARCHED = 48
-"""Frames up to which a search for the right start looks at all of them."""
-NEAR_BY = 4
-"""Frames between two keyframes of a search, at most."""
-OVERLAPS = (0.7, 0.55, 0.4)
-"""Share of a keyframe's tracks that the next one must still see; the next value is tried where too many keyframes remain."""
+"""Frames up to which all of them are adjusted together (docs/method.md, "Cameras")."""
+MAX_SEARCHED_FRAMES = 48
+"""Frames up to which a search for the right start looks at all of them (docs/method.md, "Cameras")."""
+MAX_SEARCH_GAP = 4
+"""Frames between two keyframes of a search, at most. Chosen by eye."""
+KEYFRAME_OVERLAPS = (0.7, 0.55, 0.4)
+"""Share of a keyframe's tracks that the next one must still see; the next value is tried where too many keyframes remain.
+Chosen by eye."""
 MAX_KEYFRAME_GAP = 16
-"""Frames between two keyframes, at most."""
+"""Frames between two keyframes, at most. Chosen by eye."""
 MIN_POINTS = 10
-"""Points that a frame must see to be placed."""
-STEPS = 8
-SCALE = 0.5
-"""Pixels; residuals beyond it lose their influence."""
+"""Points that a frame must see to be placed. Chosen by eye."""
+PLACEMENT_STEPS = 8
+"""Iterations that place a frame between keyframes. Chosen by eye."""
+RESIDUAL_SCALE = 0.5
+"""Pixels; residuals beyond it lose their influence. Chosen by eye."""
 INLIER_PIXELS = 1.0
-"""Pixels by which a point may miss its track to serve other frames."""
+"""Pixels by which a point may miss its track to serve other frames. Chosen by eye."""
 
 
 def choose_keyframes(seen: np.ndarray, most: int = MAX_JOINT_FRAMES, widest: int = MAX_KEYFRAME_GAP) -> np.ndarray:
@@ -40,7 +42,7 @@ def choose_keyframes(seen: np.ndarray, most: int = MAX_JOINT_FRAMES, widest: int
     """
     count = seen.shape[1]
     keys = list(range(count))
-    for overlap in OVERLAPS:
+    for overlap in KEYFRAME_OVERLAPS:
         if len(keys) <= most:
             break
         keys = [0]
@@ -90,12 +92,12 @@ def _resect(viewmat: np.ndarray, points: np.ndarray, uv: np.ndarray, focal: floa
     """Return the pose [4, 4] near ``viewmat`` that sees ``points`` [N, 3] at ``uv`` [N, 2]: Gauss-Newton with a Cauchy cost."""
     best, lowest = viewmat, np.inf
     size = 6 if free_translations else 3
-    for _ in range(STEPS):
+    for _ in range(PLACEMENT_STEPS):
         turned = points @ viewmat[:3, :3].T
         p = turned + viewmat[:3, 3]
         a = focal / np.maximum(p[:, 2], MIN_DEPTH)
         r = a[:, None] * p[:, :2] - uv
-        square = (r * r).sum(1) / SCALE**2
+        square = (r * r).sum(1) / RESIDUAL_SCALE**2
         cost = float(np.log1p(square).sum())
         if not cost < lowest:
             break

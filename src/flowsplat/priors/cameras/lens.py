@@ -11,18 +11,18 @@ import numpy as np
 
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.priors.cameras.bundle import rays
-from flowsplat.priors.cameras.estimate import NEGLIGIBLE, SIMPLER, CameraEstimate
+from flowsplat.priors.cameras.estimate import NEGLIGIBLE_MISFIT, SIMPLER_MISFIT_RATIO, CameraEstimate
 from flowsplat.priors.cameras.refinement import from_middle, misfit, refine
 from flowsplat.priors.cameras.selection import choose_tracks
 
-PER_CELL = 20
-"""About how many tracks of a cell of the image tell the distortion."""
+TRACKS_PER_CELL = 20
+"""About how many tracks of a cell of the image tell the distortion. Chosen by eye."""
 MIN_DISTORTION_SIGMAS = 3.0
-"""Standard deviations by which the distortion must differ from none to be taken out."""
-LEAST_SLOPE = 0.1
-"""How fast a point of the straightened image must at least leave the middle of the one it is taken from."""
-NOTICEABLE = 0.3
-"""Pixels of the border below which a distortion is not worth resampling the images for."""
+"""Standard deviations by which the distortion must differ from none to be taken out (docs/method.md, "Cameras")."""
+MIN_LENS_SLOPE = 0.1
+"""How fast a point of the straightened image must at least leave the middle of the one it is taken from. Chosen by eye."""
+MIN_BORDER_SHIFT = 0.3
+"""Pixels of the border below which a distortion is not worth resampling the images for (docs/method.md, "Cameras")."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Lens:
             x = border / middle
             inside = (np.abs(_bend(x, distortion) * focal) <= np.array([width, height]) / 2).all()
             # Where a strong barrel would fold back, a point of the image has no place of its own.
-            unfolded = (1 + 3 * distortion * (x**2).sum(-1) > LEAST_SLOPE).all()
+            unfolded = (1 + 3 * distortion * (x**2).sum(-1) > MIN_LENS_SLOPE).all()
             low, high = (low, middle) if inside and unfolded else (middle, high)
         return Lens(focal, distortion, high, width, height)
 
@@ -109,7 +109,7 @@ def find_lens(
     if found.motion not in ("free", "rotation"):
         return None
     seen = np.isfinite(positions[..., 0])
-    chosen = choose_tracks(positions, seen, width, height, PER_CELL)
+    chosen = choose_tracks(positions, seen, width, height, TRACKS_PER_CELL)
     if len(chosen) == 0:
         return None
     seen = seen[chosen]
@@ -124,7 +124,7 @@ def find_lens(
     if found.motion == "free":
         moved = known(state, centered, seen)
         turning, moving = misfit(fit.state, centered, seen, free_translations=False), misfit(moved.state, centered, seen)
-        fit = fit if turning + NEGLIGIBLE <= SIMPLER * (moving + NEGLIGIBLE) else moved
+        fit = fit if turning + NEGLIGIBLE_MISFIT <= SIMPLER_MISFIT_RATIO * (moving + NEGLIGIBLE_MISFIT) else moved
     lens = Lens.of(fit.state.focal, fit.state.distortion, width, height)
-    clear = abs(lens.distortion) > MIN_DISTORTION_SIGMAS * fit.distortion_sigma and lens.shift > NOTICEABLE
+    clear = abs(lens.distortion) > MIN_DISTORTION_SIGMAS * fit.distortion_sigma and lens.shift > MIN_BORDER_SHIFT
     return lens if clear else None

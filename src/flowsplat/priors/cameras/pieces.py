@@ -11,18 +11,18 @@ import numpy as np
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath
 
-COLLAPSE = 0.1
-"""Share of points that survive from one frame to the next, below which there is a break."""
+MIN_SURVIVORS = 0.1
+"""Share of points that survive from one frame to the next, below which there is a break. Chosen by eye."""
 FEW_SURVIVORS = 0.25
-"""The same, where those that survive do not move together."""
+"""The same, where those that survive do not move together. Chosen by eye."""
 MIN_HOMOGRAPHY_SHARE = 0.6
-"""Share of the survivors that one homography must explain, so that they count as moving together."""
-NEAR_PLANE = 2.0
-"""Pixels by which they may miss it."""
-LEAST_TRACKS = 8
-"""Tracks below which nothing can be said about the camera."""
+"""Share of the survivors that one homography must explain, so that they count as moving together. Chosen by eye."""
+HOMOGRAPHY_TOLERANCE = 2.0
+"""Pixels by which they may miss it. Chosen by eye."""
+MIN_TRACKS = 8
+"""Tracks below which nothing can be said about the camera. Chosen by eye."""
 PIECE_DISTANCE = 100.0
-"""Median distances between the worlds of two pieces, set side by side: no camera sees into the next one."""
+"""Median distances between the worlds of two pieces, set side by side: no camera sees into the next one. Chosen by eye."""
 
 
 def find_breaks(positions: np.ndarray, shown: Sequence[int]) -> list[int]:
@@ -39,12 +39,12 @@ def find_breaks(positions: np.ndarray, shown: Sequence[int]) -> list[int]:
 def _is_torn(positions: np.ndarray, seen: np.ndarray, a: int, b: int) -> bool:
     both = seen[:, a] & seen[:, b]
     share = both.sum() / max(int(seen[:, a].sum()), 1)
-    if both.sum() < LEAST_TRACKS or share < COLLAPSE:
+    if both.sum() < MIN_TRACKS or share < MIN_SURVIVORS:
         return True
     if share >= FEW_SURVIVORS:
         return False
     # Noise and foreign images always offer some points that look alike, but those move every way.
-    _, together = cv2.findHomography(positions[both, a], positions[both, b], cv2.RANSAC, NEAR_PLANE)
+    _, together = cv2.findHomography(positions[both, a], positions[both, b], cv2.RANSAC, HOMOGRAPHY_TOLERANCE)
     return together is None or together.mean() < MIN_HOMOGRAPHY_SHARE
 
 

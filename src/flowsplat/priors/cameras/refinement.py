@@ -11,24 +11,24 @@ from flowsplat.priors.cameras.growth import triangulate
 from flowsplat.priors.cameras.smoothness import smooth_path
 
 MAX_POINT_DEPTH = 100.0
-"""Points are kept within this many median depths: a ray without parallax then fixes rotations, not depths."""
-ROUGH_ROUNDS = (1.0, 0.5)
-"""Scale of the Cauchy cost in pixels, a round, where cameras are only to be compared with others."""
+"""Points are kept within this many median depths: a ray without parallax then fixes rotations, not depths. Chosen by eye."""
+ROUGH_SCALES = (1.0, 0.5)
+"""Scale of the Cauchy cost in pixels, a round, where cameras are only to be compared with others. Chosen by eye."""
 LATE_SCALES = (0.5, 0.2)
-"""The same for cameras that have been through the rough rounds."""
+"""The same for cameras that have been through the rough rounds. Chosen by eye."""
 FINAL_TOLERANCE = 1e-5
-"""An adjustment ends when an iteration lowers its cost by less than this fraction."""
-ROUGH = 1e-4
-"""The same of all rounds before the last."""
-ITERATIONS, BENT_ITERATIONS = 40, 150
-"""Of an adjustment at most, and of one that finds the distortion of the lens: with a longer lens in its place nearly all of it can
-be explained, and the way back is narrow."""
-UNIT = 0.5
-"""Pixels; errors well beyond it add little to the robust cost by which cameras are compared."""
-WORST = 20 * UNIT
+"""An adjustment ends when an iteration lowers its cost by less than this fraction. Chosen by eye."""
+ROUGH_TOLERANCE = 1e-4
+"""The same of all rounds before the last. Chosen by eye."""
+MAX_ITERATIONS, MAX_LENS_ITERATIONS = 40, 150
+"""Of an adjustment at most, and of one that finds the distortion of the lens: with a longer lens in its place nearly all of it
+can be explained, and the way back is narrow (docs/method.md, "Cameras")."""
+ERROR_UNIT = 0.5
+"""Pixels; errors well beyond it add little to the robust cost by which cameras are compared. Chosen by eye."""
+MAX_ERROR = 20 * ERROR_UNIT
 """Pixels that any larger error counts as, and a point behind the camera."""
 STATIC_SHARE = 0.6
-"""Share of the observations that is assumed to stand still; the cameras are judged by those that fit best."""
+"""Share of the observations that is assumed to stand still; the cameras are judged by those that fit best. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -112,10 +112,10 @@ def _with_others(state: Reconstruction, tracks: np.ndarray, points: np.ndarray) 
 
 
 def robust_errors(state: Reconstruction, observed: BundleObservations) -> tuple[np.ndarray, np.ndarray]:
-    """Errors [M] in pixels, ``WORST`` at most, and their cost [M] without unit."""
+    """Errors [M] in pixels, ``MAX_ERROR`` at most, and their cost [M] without unit."""
     error, depth = residuals(state, observed)
-    error = np.where(depth > 0, np.minimum(error, WORST), WORST)
-    return error, np.log1p((error / UNIT) ** 2)
+    error = np.where(depth > 0, np.minimum(error, MAX_ERROR), MAX_ERROR)
+    return error, np.log1p((error / ERROR_UNIT) ** 2)
 
 
 def best_tracks(costs: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -165,7 +165,7 @@ def refine(
     """
     static = np.zeros(len(seen), bool)
     precision = bend_precision = 0.0
-    rounds = ROUGH_ROUNDS if rough else LATE_SCALES
+    rounds = ROUGH_SCALES if rough else LATE_SCALES
     for number, scale in enumerate(rounds):
         if number > 0 or not keep_points:
             state = with_points(state, positions, seen, free_translations=free_translations)
@@ -177,9 +177,9 @@ def refine(
         prior = LensPrior(expected_focal, _prior_weight(replace(state, points=state.points[tracks]), observed, scale))
         done = adjust(
             replace(state, points=state.points[tracks]), observed, scale=scale, fixed_camera=fixed_camera,
-            iterations=BENT_ITERATIONS if free_distortion else ITERATIONS, free_focal=free_focal,
+            iterations=MAX_LENS_ITERATIONS if free_distortion else MAX_ITERATIONS, free_focal=free_focal,
             free_translations=free_translations, free_distortion=free_distortion, priors=(prior,),
-            tolerance=FINAL_TOLERANCE if scale == LATE_SCALES[-1] else ROUGH,
+            tolerance=FINAL_TOLERANCE if scale == LATE_SCALES[-1] else ROUGH_TOLERANCE,
         )  # fmt: skip
         state = _with_others(done.reconstruction, tracks, state.points)
         precision = max(done.focal_precision - prior.weight, 0.0)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-GRID = (8, 6)
-"""Columns and rows of the cells that tracks are spread over."""
+CELL_GRID = (8, 6)
+"""Columns and rows of the cells that tracks are spread over. Chosen by eye."""
 RIM_WIDTH = 1 / 12
 """Of the image's width and height: an object of 70 % of the image in its middle leaves the rim free."""
 
@@ -22,11 +22,11 @@ def choose_tracks(
     """
     lengths = seen.sum(1)
     track, frame = np.nonzero(seen)
-    where = positions[track, frame] / [width, height] * GRID
-    column, row = np.clip(where.astype(int), 0, np.array(GRID) - 1).T
-    cell = (frame * GRID[1] + row) * GRID[0] + column
+    where = positions[track, frame] / [width, height] * CELL_GRID
+    column, row = np.clip(where.astype(int), 0, np.array(CELL_GRID) - 1).T
+    cell = (frame * CELL_GRID[1] + row) * CELL_GRID[0] + column
     first = np.searchsorted(track, np.arange(len(seen) + 1))
-    room = np.full(seen.shape[1] * GRID[0] * GRID[1], per_cell)
+    room = np.full(seen.shape[1] * CELL_GRID[0] * CELL_GRID[1], per_cell)
     chosen = []
     for n in np.argsort(-lengths, kind="stable"):
         if lengths[n] < shortest:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flowsplat.priors.cameras.bundle import (
-    LENS,
+    LENS_PARAMETERS,
     BundleObservations,
     LensPrior,
     Reconstruction,
@@ -28,16 +28,18 @@ from flowsplat.priors.cameras.bundle import (
 THIRD_DIFFERENCE = np.array([-1.0, 3.0, -3.0, 1.0])
 """Third ones over time, of the camera's places: a steady curve, as round something, has none to speak of."""
 MIN_FRAMES = 8
-"""Frames below which there is no telling how smoothly a camera travels."""
-DEGREES = 4.0
-"""Of freedom of the Student distribution: a jolt now and then is no sign of a camera that shakes."""
+"""Frames below which there is no telling how smoothly a camera travels. Chosen by eye."""
+STUDENT_DEGREES = 4.0
+"""Of freedom of the Student distribution: a jolt now and then is no sign of a camera that shakes (docs/method.md, "Cameras")."""
 CORRELATED_SHARE = 0.25
-"""Share of a track over which its errors, and those of its neighbors, are alike, so that they tell as much as one observation."""
-_ROUNDS, _ITERATIONS, _LAST_ITERATIONS = 8, 2, 10
+"""Share of a track over which its errors, and those of its neighbors, are alike, so that they tell as much as one observation.
+Chosen on workshop, garden, train, bear and random worlds (docs/method.md, "Cameras"; docs/results.md)."""
+_SCALE_ROUNDS, _ROUND_ITERATIONS, _LAST_ITERATIONS = 8, 2, 10
+"""Estimates of the scale, at most; iterations of the adjustment in each; and those of the last adjustment. Chosen by eye."""
 _SCALE_TOLERANCE = 0.03
-"""Change of the logarithm of the squared scale below which it is found."""
+"""Change of the logarithm of the squared scale below which it is found. Chosen by eye."""
 _MAX_CURVATURE_RATIO = 1e3
-"""Times the median curvature that the scale of all is held by."""
+"""Times the median curvature that the scale of all is held by. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -92,14 +94,14 @@ def smooth_path(
         )  # fmt: skip
         return done.reconstruction, path
 
-    for _ in range(_ROUNDS):
-        state, path = step(_ITERATIONS)
+    for _ in range(_SCALE_ROUNDS):
+        state, path = step(_ROUND_ITERATIONS)
         left = _uncertainty(state, information(state, seen, scale, (lens, path)), index, fixed_camera) * variance
         squares = differences(state) ** 2
         # Of each difference the share that the tracks tell, not the prior.
         told = float(np.clip(1 - left * weights[:, None] / spread, 1e-3, 1).sum())
         before, spread = spread, max(float((weights[:, None] * squares).sum()) / told, 1e-18)
-        weights = (DEGREES + 3) / (DEGREES + (squares + left).sum(1) / spread)
+        weights = (STUDENT_DEGREES + 3) / (STUDENT_DEGREES + (squares + left).sum(1) / spread)
         if abs(np.log(spread / before)) < _SCALE_TOLERANCE:
             break
     return step(_LAST_ITERATIONS)[0]
@@ -133,12 +135,12 @@ def _uncertainty(state: Reconstruction, curvature: np.ndarray, index: np.ndarray
         index: of the parameters that may change.
     """
     larger, S = np.zeros(len(curvature)), curvature[np.ix_(index, index)]
-    larger[:-LENS].reshape(-1, 6)[:, 3:] = compute_scale_direction(state, fixed_camera)
+    larger[:-LENS_PARAMETERS].reshape(-1, 6)[:, 3:] = compute_scale_direction(state, fixed_camera)
     larger, usual = larger[index], float(np.median(np.diag(S)))
     S = (
         S
         + _MAX_CURVATURE_RATIO * usual * np.outer(larger, larger) / max(float(larger @ larger), 1e-30)
         + 1e-9 * usual * np.eye(len(S))
     )
-    J = np.pad(_derivatives(state), ((0, 0), (0, LENS)))[:, index]
+    J = np.pad(_derivatives(state), ((0, 0), (0, LENS_PARAMETERS)))[:, index]
     return np.einsum("ij,ji->i", J, np.linalg.solve(S, J.T)).reshape(-1, 3)

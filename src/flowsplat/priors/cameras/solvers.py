@@ -13,30 +13,31 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from flowsplat.priors.cameras.bundle import BundleObservations
-from flowsplat.priors.cameras.checks import FEW_STATIC, LARGE_ERROR
+from flowsplat.priors.cameras.checks import LARGE_ERROR, MIN_STATIC_SHARE
 from flowsplat.priors.cameras.estimate import CameraEstimate, estimate
-from flowsplat.priors.cameras.pieces import LEAST_TRACKS
+from flowsplat.priors.cameras.pieces import MIN_TRACKS
 from flowsplat.priors.cameras.refinement import best_tracks, from_middle, robust_errors, with_points
 from flowsplat.priors.cameras.selection import on_rim
 
 JUDGE_STRIDE = 8
-"""Every how many of the longer tracks one is kept from the adjustments."""
-LEAST_VIEWS = 3
-"""Frames that such a track was seen in: every second one places its point, the others judge it."""
-LEAST_JUDGES = 30
-"""Such tracks below which they cannot be spared."""
-LARGEST_TURN = 3.0
-"""Degrees by which the turn from frame to frame may change at once, in any clip."""
+"""Every how many of the longer tracks one is kept from the adjustments (docs/method.md, "Cameras")."""
+MIN_JUDGE_VIEWS = 3
+"""Frames that such a track was seen in: every second one places its point, the others judge it. Chosen by eye."""
+MIN_JUDGES = 30
+"""Such tracks below which they cannot be spared. Chosen by eye."""
+MAX_TURN_JUMP = 3.0
+"""Degrees by which the turn from frame to frame may change at once, in any clip. Chosen by eye."""
 MAX_JUMP_RATIO = 8.0
-"""Times the usual change of a turn, or of a step, that count as a jump."""
-LARGEST_STEP = 0.03
-"""Change of a step, in median distances of the points, that is never a jump."""
-COLLAPSED = 1e-4
-"""Extent of the path, in median distances of the points, below which a moving camera does not move."""
+"""Times the usual change of a turn, or of a step, that count as a jump. Chosen by eye."""
+MAX_STEP_JUMP = 0.03
+"""Change of a step, in median distances of the points, that is never a jump. Chosen by eye."""
+MIN_PATH_EXTENT = 1e-4
+"""Extent of the path, in median distances of the points, below which a moving camera does not move. Chosen by eye."""
 FIELD_OF_VIEW = (8.0, 130.0)
-"""Degrees across that cameras have."""
+"""Degrees across that cameras have. Chosen by eye."""
 MAX_COST_RATIO = 0.9
-"""The second solver is taken where its cost is below this share of the first one's, or where only it is sane."""
+"""The second solver is taken where its cost is below this share of the first one's, or where only it is sane
+(docs/method.md, "Cameras")."""
 
 
 @dataclass(frozen=True)
@@ -144,9 +145,9 @@ def keep_back(seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Args:
         seen: [N, T].
     """
-    longer = np.flatnonzero(seen.sum(1) >= LEAST_VIEWS)
+    longer = np.flatnonzero(seen.sum(1) >= MIN_JUDGE_VIEWS)
     kept = longer[JUDGE_STRIDE // 2 :: JUDGE_STRIDE]
-    if len(kept) < LEAST_JUDGES:
+    if len(kept) < MIN_JUDGES:
         kept = kept[:0]
     return np.setdiff1d(np.arange(len(seen)), kept), kept
 
@@ -166,7 +167,7 @@ def judge(
     jumps = find_jumps(found, frames) if found.motion in ("free", "rotation") else []
     jumps = jumps if frames is None else [int(frames[t]) for t in jumps]
     faults = _faults(found, width)
-    lost = found.motion == "free" and (bool(found.unplaced) or found.fit.static.mean() < FEW_STATIC)
+    lost = found.motion == "free" and (bool(found.unplaced) or found.fit.static.mean() < MIN_STATIC_SHARE)
     poor = bool(jumps or faults or lost or (pixels is not None and pixels > LARGE_ERROR))
     return Judgment(name, pixels, cost, jumps, faults, poor and found.motion != "unknown")
 
@@ -174,7 +175,7 @@ def judge(
 def _heldout_errors(found: CameraEstimate, positions: np.ndarray, width: float, height: float) -> tuple[float | None, float]:
     """Return the median error in pixels of the observations that fit best, and their mean robust cost."""
     seen = np.isfinite(positions[..., 0])
-    if len(seen) < LEAST_TRACKS:
+    if len(seen) < MIN_TRACKS:
         return None, 0.0
     centered = from_middle(positions, seen, width, height)
     odd = np.cumsum(seen, 1) % 2 == 1
@@ -203,10 +204,10 @@ def find_jumps(found: CameraEstimate, frames: Sequence[int] | None = None) -> li
     gaps = np.diff(np.arange(count) if frames is None else np.asarray(frames))[:, None]
     turns = Rotation.from_matrix(state.rotations[1:] @ state.rotations[:-1].transpose(0, 2, 1)).as_rotvec() / gaps
     change = np.degrees(np.linalg.norm(np.diff(turns, axis=0), axis=1))
-    jumps = change > max(LARGEST_TURN, MAX_JUMP_RATIO * float(np.median(change)))
+    jumps = change > max(MAX_TURN_JUMP, MAX_JUMP_RATIO * float(np.median(change)))
     if found.motion == "free":
         leaps = np.linalg.norm(np.diff(np.diff(state.centers, axis=0) / gaps, axis=0), axis=1) / _distance(found)
-        jumps |= leaps > max(LARGEST_STEP, MAX_JUMP_RATIO * float(np.median(leaps)))
+        jumps |= leaps > max(MAX_STEP_JUMP, MAX_JUMP_RATIO * float(np.median(leaps)))
     # One jump changes two steps: it is named once, before the frame that it leads to.
     places = np.flatnonzero(jumps) + 1
     return [int(t) for k, t in enumerate(places) if k == 0 or t > places[k - 1] + 1]
@@ -229,6 +230,6 @@ def _faults(found: CameraEstimate, width: float) -> list[str]:
             faults.append(f"sees {angle:.0f} degrees across")
     if found.motion == "free":
         extent = np.linalg.norm(np.ptp(found.fit.state.centers, axis=0)) / _distance(found)
-        if extent < COLLAPSED:
+        if extent < MIN_PATH_EXTENT:
             faults.append("hardly moves")
     return faults

@@ -22,15 +22,15 @@ from flowsplat.scenes import Scene
 from flowsplat.scenes.replacing import replace_images
 
 LENS_ROUNDS = 2
-"""How often the lens is estimated, each time with the cameras that the one before allowed."""
+"""How often the lens is estimated, each time with the cameras that the one before allowed. Chosen by eye."""
 MAX_LENS_CHANGE = 0.1
-"""Pixels of the border by which a lens may change and count as found."""
+"""Pixels of the border by which a lens may change and count as found. Chosen by eye."""
 OWN = "tracks"
 """Method of cameras that this stage computed."""
 _FOLLOWS_IMAGES = ("cameras", "masks", "objects")
 """Priors that may be there when images are straightened: cameras are found anew, masks straightened, objects go with depth."""
-LONGEST_LENS = 100
-"""Focal length at most, in longer sides of the image: an angle of view of half a degree."""
+MAX_FOCAL = 100
+"""Focal length at most, in longer sides of the image: an angle of view of half a degree. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
         InputError: the given focal length is not a positive number, or something was made for images that are to be
             straightened.
     """
-    longest = LONGEST_LENS * max(scene.width, scene.height)
+    longest = MAX_FOCAL * max(scene.width, scene.height)
     if options.focal is not None and not 1 <= options.focal <= longest:
         raise InputError(f"The focal length is {options.focal}: give pixels from 1 to {longest:,}, or leave it out.")
     if scene.info.straightening is not None:

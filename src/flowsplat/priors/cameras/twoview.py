@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-LEAST_COMMON = 12
-"""Tracks that two frames must share to be a pair."""
-ENOUGH_PARALLAX = np.radians(3.0)
-"""Below this median angle a pair scores less: its depths are uncertain."""
+MIN_COMMON_TRACKS = 12
+"""Tracks that two frames must share to be a pair. Chosen by eye."""
+MIN_PARALLAX = np.radians(3.0)
+"""Below this median angle a pair scores less: its depths are uncertain. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,13 @@ def rank_pairs(positions: np.ndarray, seen: np.ndarray, focal: float) -> list[Pa
     for i in range(0, count - 1, max(1, count // 10)):
         for j in (i + gap for gap in gaps if i + gap < count):
             a, b = _common(positions, seen, i, j)
-            if len(a) < LEAST_COMMON:
+            if len(a) < MIN_COMMON_TRACKS:
                 continue
             _, plane = cv2.findHomography(a, b, cv2.RANSAC, 2.0)
             found = essential(a, b, focal)
             if found is not None and plane is not None:
                 extra = (int(found[1].sum()) - int(plane.sum())) / np.sqrt(len(a))
-                pairs.append(Pair(i, j, float(extra * min(1.0, _parallax(a, b, *found, focal) / ENOUGH_PARALLAX))))
+                pairs.append(Pair(i, j, float(extra * min(1.0, _parallax(a, b, *found, focal) / MIN_PARALLAX))))
     pairs.sort(key=lambda pair: (-pair.score, pair.i, pair.j))
     best: dict[int, Pair] = {}
     for pair in pairs:
@@ -88,7 +88,7 @@ def relative_pose(positions: np.ndarray, seen: np.ndarray, pair: Pair, focal: fl
     """Rotation [3, 3] and unit translation [3] from the first camera of ``pair`` to the second; None where undefined."""
     a, b = _common(positions, seen, pair.i, pair.j)
     found = essential(a, b, focal)
-    if found is None or found[1].sum() < LEAST_COMMON // 2:
+    if found is None or found[1].sum() < MIN_COMMON_TRACKS // 2:
         return None
     matrix, inliers = found
     _, rotation, translation, _ = cv2.recoverPose(matrix, a[inliers], b[inliers], intrinsics(focal))

@@ -8,7 +8,7 @@ from flowsplat.common.progress import track
 from flowsplat.common.threads import in_threads, thread_count
 from flowsplat.images.edge_smoothing import one_thread
 from flowsplat.priors.background.fill import upsample
-from flowsplat.priors.background.longflow import STRIDES
+from flowsplat.priors.background.longflow import FLOW_STRIDES
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.refined import RefinedDepth
 from flowsplat.priors.background.static_depth import StaticDepth, camera_reach, static_depth
@@ -18,21 +18,23 @@ from flowsplat.priors.objects.areas import large_objects
 from flowsplat.priors.objects.description import sureness
 from flowsplat.scenes import Depth, Scene
 
-NEAREST_DEPTH, FURTHEST_DEPTH = 0.05, 30.0
-"""Multiples of the median depth between which all depths lie."""
+MIN_DEPTH, MAX_DEPTH = 0.05, 30.0
+"""Multiples of the median depth between which all depths lie. Chosen by eye."""
 
-FRONT_MARGIN, KNOWN_MARGIN = 1.03, 1.02
+FRONT_MARGIN, KNOWN_FRONT_MARGIN = 1.03, 1.02
 """How much nearer than all that is known to be behind it an object is at least: where nothing tells its distance, and where
-something does. A foot is as far away as the ground that it stands on."""
-TIED = 0.14
+something does. A foot is as far away as the ground that it stands on. Chosen by eye."""
+MAX_TIED_SIGMA = 0.14
+"""Standard deviation of ln distance up to which an object counts as tied to the still scene. Chosen by eye."""
 PLACES = {"contact", "bounce", "pivot", "contact_hint", "same_depth_hint"}
 """Standard deviation of an object's ln distance up to which it may stand behind what is only filled in, and the cues that tie it
 to a place of the still scene, with which it may do so, too."""
 OBJECT_CONFIDENCE = 0.6
+"""Confidence of all depth on objects. Chosen by eye."""
 MIN_TRUSTED_SHARE = 0.6
-"""Share of trusted pixels from which depth is called known."""
+"""Share of trusted pixels from which depth is called known. Chosen by eye."""
 TRUSTED_WEIGHT = 5.0
-"""Weight at which a static pixel has a confidence of one half."""
+"""Weight at which a static pixel has a confidence of one half. Chosen by eye."""
 
 
 def depth_stage(
@@ -76,9 +78,9 @@ def depth_stage(
             verdict += f"; distances of objects: {sureness(tied, len(counted) - len(tied))}"
     else:
         travels = camera_reach(clip) > 1e-9
-        little = f"travels too little within {STRIDES[-1]} frames" if travels else "does not travel"
+        little = f"travels too little within {FLOW_STRIDES[-1]} frames" if travels else "does not travel"
         verdict = f"the camera {little}, so depth is a guess: new views from aside will be wrong"
-        if travels and len(clip) > 2 * STRIDES[-1]:
+        if travels and len(clip) > 2 * FLOW_STRIDES[-1]:
             verdict += "; --every takes frames further apart, which may show it"
     scene.finish_prior(
         "depth", method=method, verdict=verdict, trusted=round(share, 4), trusted_static=round(static_share, 4),
@@ -113,9 +115,11 @@ def _frame_depth(
         known = objects.depth(k, mask, frame, scene.cameras[scene.train_frames[k]])
         nearness = np.where(known > 0, 1 / np.maximum(known, 1e-9), 0)
         # Nothing lies behind what other frames are sure of; what nothing ties stays just in front of what is filled in, too.
-        tied = np.isin(mask, [obj.number for obj in objects.objects if obj.sigma <= TIED or not PLACES.isdisjoint(obj.cues)])
-        static = np.where(moving, np.maximum(nearness, np.where(tied, KNOWN_MARGIN * sure, FRONT_MARGIN * front)), static)
-    limits = background.median / FURTHEST_DEPTH, background.median / NEAREST_DEPTH
+        tied = np.isin(
+            mask, [obj.number for obj in objects.objects if obj.sigma <= MAX_TIED_SIGMA or not PLACES.isdisjoint(obj.cues)]
+        )
+        static = np.where(moving, np.maximum(nearness, np.where(tied, KNOWN_FRONT_MARGIN * sure, FRONT_MARGIN * front)), static)
+    limits = background.median / MAX_DEPTH, background.median / MIN_DEPTH
     depth = 1 / np.clip(static, *limits)
     confidence = np.where(moving, OBJECT_CONFIDENCE, share * weight / (weight + TRUSTED_WEIGHT))
     return Depth(depth.astype(np.float32), confidence.astype(np.float32))

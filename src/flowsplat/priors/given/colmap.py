@@ -19,8 +19,8 @@ from flowsplat.scenes import Scene
 from flowsplat.scenes.formats.images import natural_key
 from flowsplat.scenes.formats.lens import require_pinhole
 
-_MOST_IMAGES = 256 * 2**20
-"""Bytes: the points of all images stand beside them."""
+_MAX_IMAGES_BYTES = 256 * 2**20
+"""Bytes: the points of all images stand beside them. Chosen by eye."""
 PLACES = ("", "0", "sparse", "sparse/0", "colmap/sparse/0")
 """Where in a given folder the model may lie."""
 
@@ -68,10 +68,10 @@ def read_colmap(model: Path, scene: Scene) -> list[Camera]:
     try:
         if suffix == ".bin":
             lenses = _binary_cameras(read_bytes(model / "cameras.bin"))
-            images = _binary_images(read_bytes(path, _MOST_IMAGES))
+            images = _binary_images(read_bytes(path, _MAX_IMAGES_BYTES))
         else:
             lenses = _text_cameras(read_text(model / "cameras.txt"))
-            images = _text_images(read_text(path, _MOST_IMAGES))
+            images = _text_images(read_text(path, _MAX_IMAGES_BYTES))
     except (struct.error, ValueError, IndexError, OverflowError) as error:
         raise InputError(f"{model} is no readable COLMAP model (damaged or truncated): {error}.") from error
     require_frames(path, len(images), scene, "registered images")

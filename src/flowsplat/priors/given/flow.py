@@ -11,7 +11,7 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_bytes, read_npz
 from flowsplat.geometry.cameras import MAX_COORDINATE
-from flowsplat.images.header import MOST_PIXELS
+from flowsplat.images.header import MAX_PIXELS
 from flowsplat.priors.given import megasam
 from flowsplat.priors.given.fitting import refuse_later_frames, require_frames, require_shape
 from flowsplat.priors.given.truth import consecutive_pairs
@@ -23,9 +23,10 @@ from flowsplat.scenes.layers import FLOW_UNIT, decode_image
 FLO_MAGIC = 202021.25
 """First number of a Middlebury ``.flo`` file (https://vision.middlebury.edu/flow/code/flow-code/README.txt)."""
 
-_MOST_NPZ = 160 * 2**20
-"""Bytes."""
-_MOST_FLO = 12 + 8 * MOST_PIXELS
+_MAX_NPZ_BYTES = 160 * 2**20
+"""Bytes. Chosen by eye."""
+_MAX_FLO_BYTES = 12 + 8 * MAX_PIXELS
+"""Bytes: the header, and two float32 for every pixel of the largest image."""
 KITTI_ZERO, KITTI_UNIT = 32768, 64.0
 """In KITTI's 16-bit PNG (https://www.cvlibs.net/datasets/kitti/eval_flow.php) u = (red - 32768) / 64 pixels."""
 
@@ -89,14 +90,14 @@ def _read_own(folder: Path, i: int, j: int, scene: Scene) -> Flow:
 
 
 def _read_npz(path: Path) -> Arrays:
-    arrays = read_npz(path, ("flow", "confidence"), _MOST_NPZ)
+    arrays = read_npz(path, ("flow", "confidence"), _MAX_NPZ_BYTES)
     if not {"flow", "confidence"} <= arrays.keys():
         raise InputError(f"{path} needs the arrays 'flow' and 'confidence'.")
     return arrays["flow"], arrays["confidence"]
 
 
 def _read_flo(path: Path) -> Arrays:
-    data = read_bytes(path, _MOST_FLO)
+    data = read_bytes(path, _MAX_FLO_BYTES)
     if len(data) < 12 or np.frombuffer(data, "<f4", 1)[0] != np.float32(FLO_MAGIC):
         raise InputError(f"{path} is not a Middlebury .flo file.")
     width, height = (int(value) for value in np.frombuffer(data, "<i4", 2, offset=4))
@@ -123,7 +124,7 @@ def _mosca(folder: Path, wanted: list[tuple[int, int]], scene: Scene) -> list[Fl
     for i, j in wanted:
         path = files.get((names[i], names[j]))
         if path is not None:
-            arrays = read_npz(path, ("flow", "mask"), _MOST_NPZ)
+            arrays = read_npz(path, ("flow", "mask"), _MAX_NPZ_BYTES)
             if not {"flow", "mask"} <= arrays.keys():
                 raise InputError(f"{path} needs the arrays 'flow' and 'mask' as MoSca writes them.")
             known = arrays["mask"] if arrays["mask"].dtype.kind == "f" else arrays["mask"] > 0

@@ -25,18 +25,18 @@ from flowsplat.scenes.clip import resize_labels
 
 MAKER = "MegaSaM"
 
-_NO_DEPTH = 1.1e-3
+_MAX_CLIPPED_DEPTH = 1.1e-3
 """Depths up to here are where MegaSaM clips, and mean that it has none."""
 
 
 ARRAYS = ("depths", "intrinsic", "cam_c2w")
-_MOST_A_FRAME = 32 * 2**20
-"""Bytes: six pairs of flow of an image of 640 x 480."""
+_MAX_BYTES_PER_FRAME = 32 * 2**20
+"""Bytes: six pairs of flow of an image of 640 x 480. Chosen by eye."""
 
 
 def compute_max_bytes(scene: Scene) -> int:
     """Return the most bytes of the arrays in one file."""
-    return _MOST_A_FRAME * scene.num_frames
+    return _MAX_BYTES_PER_FRAME * scene.num_frames
 
 
 def is_megasam(arrays: dict[str, np.ndarray]) -> bool:
@@ -82,7 +82,7 @@ class MegaSamDepth:
     def __call__(self, i: int) -> Depth:
         """Return depth of frame ``i`` in MegaSaM's units, at the size of the frames; no confidence where it has none."""
         depth = self._depths[i].astype(np.float32)
-        known = np.isfinite(depth) & (depth > _NO_DEPTH)
+        known = np.isfinite(depth) & (depth > _MAX_CLIPPED_DEPTH)
         depth = np.where(known, depth, depth[known].max() if known.any() else 1.0)
         whole, certain = pad_to(depth, self._size, mode="edge"), pad_to(known.astype(np.float32), self._size)
         size = (self._scene.width, self._scene.height)

@@ -9,7 +9,7 @@
 | TAPIR | ``.npz`` | ``tracks`` [N, T, 2], ``visibles`` [N, T] |
 
 All count pixels from 0 at the center of the first one. A track that is followed from every frame comes many times;
-``MOST_TRACKS`` of them, evenly chosen, are kept.
+``MAX_TRACKS`` of them, evenly chosen, are kept.
 """
 
 from __future__ import annotations
@@ -27,11 +27,12 @@ from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.given.fitting import require_frames
 from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.formats.images import natural_key
-from flowsplat.scenes.layers import TRUSTED
+from flowsplat.scenes.layers import TRUSTED_CONFIDENCE
 
-MOST_TRACKS = 20_000
-MOST_BYTES = 160 * 2**20
-"""Of a file, or of the files of the tracks from one frame."""
+MAX_TRACKS = 20_000
+"""Tracks that are kept of a file, evenly chosen. A round number."""
+MAX_TRACK_BYTES = 160 * 2**20
+"""Of a file, or of the files of the tracks from one frame. Chosen by eye."""
 
 KNOWN = (
     "a folder of <from>_<to>.npy (TAPIR in Shape of Motion's preprocessing), of track_<frame>.npy (CoTracker) or of "
@@ -74,7 +75,7 @@ def read_tracks(path: Path, scene: Scene, size: tuple[int, int] | None) -> Given
         raise InputError(f"{path} holds no tracks.")
     if len({points.shape[1:] for points, _ in parts}) > 1:
         raise InputError(f"{path}: its files hold tracks of different length.")
-    step = -(-count // MOST_TRACKS)
+    step = -(-count // MAX_TRACKS)
     points = np.concatenate([points[::step] for points, _ in parts])
     confidence = np.concatenate([confidence[::step] for _, confidence in parts]).astype(np.float32)
     if points.ndim != 3 or points.shape[2] != 2 or confidence.shape != points.shape[:2]:
@@ -87,7 +88,7 @@ def read_tracks(path: Path, scene: Scene, size: tuple[int, int] | None) -> Given
         pixels = (points.astype(np.float32) + np.float32(0.5)) * np.array([scene.width / width, scene.height / height], np.float32)
     confidence = np.where(np.isfinite(pixels).all(-1) & np.isfinite(confidence), confidence, 0)
     pixels = np.nan_to_num(pixels)
-    seen = confidence >= TRUSTED
+    seen = confidence >= TRUSTED_CONFIDENCE
     inside = (pixels >= 0).all(-1) & (pixels[..., 0] <= scene.width) & (pixels[..., 1] <= scene.height)
     if seen.any() and inside[seen].mean() < 0.9:
         raise InputError(
@@ -96,13 +97,13 @@ def read_tracks(path: Path, scene: Scene, size: tuple[int, int] | None) -> Given
         )
     confidence = np.where(inside, np.clip(confidence, 0, 1), 0)
     confidence[:, scene.heldout_frames] = 0
-    kept = (confidence >= TRUSTED).sum(1) >= 2
+    kept = (confidence >= TRUSTED_CONFIDENCE).sum(1) >= 2
     return GivenTracks(pixels[kept], confidence[kept], maker)
 
 
 def write_tracks(tracks: GivenTracks, path: Path, scene: Scene) -> None:
     """Write them into the scene; those that are mostly on masks move. Needs masks, if there are to be any."""
-    visible = tracks.confidence >= TRUSTED
+    visible = tracks.confidence >= TRUSTED_CONFIDENCE
     on_object = np.zeros(len(visible))
     if scene.prior("masks") is not None:
         for i in scene.train_frames:
@@ -145,7 +146,7 @@ def _pair_names(files: list[Path]) -> list[str]:
 def _tapir(folder: Path, names: list[str]) -> Iterator[Found]:
     """Followed from every frame. Visible with the probability that it is neither hidden nor badly placed."""
     for start in names:
-        arrays = [read_npy(folder / f"{start}_{end}.npy", MOST_BYTES // len(names)) for end in names]
+        arrays = [read_npy(folder / f"{start}_{end}.npy", MAX_TRACK_BYTES // len(names)) for end in names]
         if any(array.ndim != 2 or array.shape[1] != 4 or len(array) != len(arrays[0]) for array in arrays):
             raise InputError(f"{folder}: the tracks from {start} are not [N, 4] in every file.")
         values = np.stack(arrays, 1).astype(np.float32)
@@ -154,7 +155,7 @@ def _tapir(folder: Path, names: list[str]) -> Iterator[Found]:
 
 def _marbles(files: list[Path]) -> Iterator[Found]:
     for file in files:
-        values = read_npy(file, MOST_BYTES)
+        values = read_npy(file, MAX_TRACK_BYTES)
         if values.ndim != 3 or values.shape[2] != 3:
             raise InputError(f"{file} is not [T, N, 3] (x, y, visible), but {list(values.shape)}.")
         values = values.astype(np.float32).swapaxes(0, 1)
@@ -164,7 +165,7 @@ def _marbles(files: list[Path]) -> Iterator[Found]:
 def _archives(files: list[Path]) -> tuple[Iterator[Found], str]:
     found, maker = [], ""
     for file in files:
-        arrays = read_npz(file, _NAMES, MOST_BYTES)
+        arrays = read_npz(file, _NAMES, MAX_TRACK_BYTES)
         maker = next((maker for maker, names in _ARCHIVES.items() if set(names) <= arrays.keys()), "")
         if not maker:
             raise InputError(f"{file} holds no tracks of a known layout. Looked for: {KNOWN}.")

@@ -15,10 +15,10 @@ from flowsplat.priors.learned.weights import require_package, state_dict_file
 
 OPTION, SETTING, INSTEAD = "--flow raft", "--models.raft", "--flow dis"
 
-SMALLEST_SIDE = 128
+MIN_SIDE = 128
 """Pixels below which its pyramid of correlations has no room; smaller images are enlarged."""
 
-MULTIPLE = 8
+SIDE_MULTIPLE = 8
 """Sides are continued to a multiple of this."""
 
 FIRST_WEIGHT = "feature_encoder.convnormrelu.0.weight"
@@ -65,9 +65,9 @@ def raft_estimator(source: str, device: torch.device) -> FlowEstimator:
     @torch.inference_mode()
     def estimate(a: np.ndarray, b: np.ndarray, guess: np.ndarray | None = None) -> np.ndarray:
         height, width = a.shape[:2]
-        factor = max(1.0, SMALLEST_SIDE / min(height, width))
+        factor = max(1.0, MIN_SIDE / min(height, width))
         rows, columns = round(height * factor), round(width * factor)
-        padding = (0, -columns % MULTIPLE, 0, -rows % MULTIPLE)
+        padding = (0, -columns % SIDE_MULTIPLE, 0, -rows % SIDE_MULTIPLE)
         pair = torch.stack([torch.tensor(image).permute(2, 0, 1) for image in (a, b)]).to(device, torch.float32) / 127.5 - 1
         if (rows, columns) != (height, width):
             pair = F.interpolate(pair, (rows, columns), mode="bilinear", align_corners=False)

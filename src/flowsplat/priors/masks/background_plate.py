@@ -36,27 +36,29 @@ from flowsplat.priors.background.fill import upsample
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth
 
-SEEN_FROM = (4, 8, 12, 16, 24, 32, 48)
-"""Training frames before and after, whose images are compared."""
+PLATE_OFFSETS = (4, 8, 12, 16, 24, 32, 48)
+"""Training frames before and after, whose images are compared (docs/method.md, "Flow, masks and depth")."""
 
 FEW_FRAMES = 16
-"""Training frames of a clip up to which its images are few and lie far apart: all others are compared, and the flow hardly
-joins them."""
+"""Training frames of a clip up to which its images are few and lie far apart: all others are compared, and the flow hardly joins
+them (docs/method.md, "Flow, masks and depth")."""
 
 MIN_VIEWS = 2
-"""Frames that must see a pixel's static point for its image to count."""
+"""Frames that must see a pixel's static point for its image to count. Chosen by eye."""
 
 SIMILAR_SHARE = 0.33
-"""Share of the frames that look most like the pixel, whose last one is compared with it."""
+"""Share of the frames that look most like the pixel, whose last one is compared with it (docs/method.md, "Flow, masks and
+depth")."""
 
 SHADE_SIDE, SHADE_RANGE = 9, (0.55, 1.25)
-"""Side in pixels of the square in which a shadow is even, and the range of its brightness."""
+"""Side in pixels of the square in which a shadow is even, and the range of its brightness (docs/method.md, "Flow, masks and
+depth")."""
 
 SHADE_COST = 0.25
-"""How much a brightness other than 1 counts, as a share of the brightness."""
+"""How much a brightness other than 1 counts, as a share of the brightness. Chosen by eye."""
 
 NOISE_LEVELS, SHIFT_PIXELS = 6.0, 0.5
-"""Gray levels and pixels by which a plate is off where nothing moves."""
+"""Gray levels and pixels by which a plate is off where nothing moves (docs/method.md, "Flow, masks and depth")."""
 
 
 UNSEEN_DIFFERENCE = 1e30
@@ -73,12 +75,12 @@ class CleanPlate:
     def __init__(self, clip: MatchedClip, background: StaticDepth, blocked: np.ndarray):
         self._clip, self._background, self._blocked = clip, background, blocked
         self._cameras = [clip.scene.cameras[i] for i in clip.scene.train_frames]
-        self._frame = lru_cache(maxsize=2 * SEEN_FROM[-1] + 1)(lambda k: clip.scene.frame(clip.scene.train_frames[k]))
+        self._frame = lru_cache(maxsize=2 * PLATE_OFFSETS[-1] + 1)(lambda k: clip.scene.frame(clip.scene.train_frames[k]))
 
     def residual(self, k: int) -> np.ndarray:
         """Return how many times its noise a frame differs from its plate, [H, W] float32; 1 or less is rest, -1 is unknown."""
         clip, frame = self._clip, self._frame(k)
-        offsets = SEEN_FROM if len(clip) > FEW_FRAMES else range(1, FEW_FRAMES)
+        offsets = PLATE_OFFSETS if len(clip) > FEW_FRAMES else range(1, FEW_FRAMES)
         around = [k + sign * offset for offset in offsets for sign in (-1, 1)]
         others = [j for j in around if 0 <= j < len(clip) and clip.continuity.are_joined(k, j)]
         if len(others) < MIN_VIEWS:

@@ -6,18 +6,18 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-STEPS = (8, 4, 4)
-"""Width of a bin of the histograms in L, a, b."""
+BIN_WIDTHS = (8, 4, 4)
+"""Width of a bin of the histograms in L, a, b. Chosen by eye."""
 
-ROUND = 0.07
-"""Share of the long side within which colors are those round an object."""
+SURROUNDINGS_REACH = 0.07
+"""Share of the long side within which colors are those round an object. Chosen by eye."""
 
 MIN_COLOR_PIXELS = 200
-"""Pixels of objects that make a model."""
+"""Pixels of objects that make a model. Chosen by eye."""
 
-_SHAPE = tuple(256 // step for step in STEPS)
+_SHAPE = tuple(256 // step for step in BIN_WIDTHS)
 _MIN_COLOR_SHARE = 1e-5
-"""Share of all pixels at which a color is neither's."""
+"""Share of all pixels at which a color is neither's. Chosen by eye."""
 
 
 class ColorModel:
@@ -28,7 +28,7 @@ class ColorModel:
 
     def add(self, frame: np.ndarray, moving: np.ndarray) -> None:
         """Take a frame RGB [H, W, 3] uint8 with its objects bool [H, W]."""
-        margin = int(ROUND * max(moving.shape))
+        margin = int(SURROUNDINGS_REACH * max(moving.shape))
         near = cv2.dilate(moving.astype(np.uint8), np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)) > 0
         bins = _bins(frame)
         for number, chosen in enumerate((near & ~moving, moving)):
@@ -50,5 +50,5 @@ def look_up(table: np.ndarray, frame: np.ndarray) -> np.ndarray:
 
 def _bins(frame: np.ndarray) -> np.ndarray:
     """Return the bin of every pixel, [H, W] int."""
-    lab = cv2.cvtColor(frame, cv2.COLOR_RGB2LAB) // np.array(STEPS, np.uint8)
+    lab = cv2.cvtColor(frame, cv2.COLOR_RGB2LAB) // np.array(BIN_WIDTHS, np.uint8)
     return np.ravel_multi_index(tuple(lab.transpose(2, 0, 1).astype(np.int64)), _SHAPE)

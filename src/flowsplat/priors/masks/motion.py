@@ -17,30 +17,33 @@ from flowsplat.common.progress import track
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.geometry.interpolation import sample_map
 from flowsplat.images.edge_smoothing import EdgeSmoother
-from flowsplat.priors.background.matched_clip import RESTS, MatchedClip
+from flowsplat.priors.background.matched_clip import MAX_REST_NOISES, MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth
 from flowsplat.priors.masks.background_plate import FEW_FRAMES
 from flowsplat.priors.masks.photometric_residual import Unexplained
-from flowsplat.scenes.layers import TRUSTED
+from flowsplat.scenes.layers import TRUSTED_CONFIDENCE
 
 MAX_FRAME_EVIDENCE = 1.5
-"""Largest evidence of one frame, for or against motion: the logarithm to base 2 of the motion over ``estimate_resting_motion``."""
+"""Largest evidence of one frame, for or against motion: the logarithm to base 2 of the motion over ``estimate_resting_motion``.
+Chosen by eye."""
 
 RESTING_MOTION_RATIO, MIN_RESTING_MOTION = 3.5, 1.0
-"""Multiples of the median motion of all pixels that are neither evidence of motion nor of rest, and the least that may be."""
+"""Multiples of the median motion of all pixels that are neither evidence of motion nor of rest, and the least that may be
+(docs/method.md, "Flow, masks and depth")."""
 MOTION_SAMPLES = 24
-"""Frames that the median is taken from."""
+"""Frames that the median is taken from. Chosen by eye."""
 FADE_SHARE, FADE_REACH = 0.35, 0.04
-"""Flow fades from an object to what rests beside it, so rest ends at this share of the largest motion around it. So far around, in
-units of the long side."""
+"""Flow fades from an object to what rests beside it, so rest ends at this share of the largest motion around it. So far around,
+in units of the long side (docs/method.md, "Flow, masks and depth")."""
 
-MEMORY = 0.9
-"""Share of the evidence that a frame takes over from the next and the one before."""
+EVIDENCE_MEMORY = 0.9
+"""Share of the evidence that a frame takes over from the next and the one before. Chosen by eye."""
 
 MIN_OBJECT_SHARE = 0.001
-"""Share of the image below which an object is dropped; a hole is closed below a quarter of it."""
+"""Share of the image below which an object is dropped; a hole is closed below a quarter of it. Chosen by eye."""
 
-_SMOOTHNESS, _COLOR_SIGMA = 10.0, 12.0
+_EDGE_AWARE_SMOOTHNESS, _COLOR_SIGMA = 10.0, 12.0
+"""Smoothness along the edges of the image, and gray levels across which it no longer reaches. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,7 @@ class Weighing:
 
 
 MANY_FRAMES, FEW_IMAGES, MATCHES_ALONE = Weighing(0.35, 4.0, 2.0), Weighing(0.7, 1.5, 1.0), Weighing(0.0, 0.0, 2.0)
+"""For clips of many frames, for few images, and where depth is not seen well (docs/method.md, "Flow, masks and depth")."""
 
 
 def choose_weighing(clip: MatchedClip) -> Weighing:
@@ -84,7 +88,7 @@ def motion_evidence(clip: MatchedClip, background: StaticDepth) -> list[np.ndarr
         unexplained = Unexplained(clip, background)
         for k in track(range(len(clip)), "What the still scene explains"):
             own[k] = (own[k] + np.float32(how.color) * unexplained.evidence(k)).astype(np.float16)
-    sums = propagate(clip, own.__getitem__, clip.step_flow, MEMORY)
+    sums = propagate(clip, own.__getitem__, clip.step_flow, EVIDENCE_MEMORY)
     return [(total - how.rare).astype(np.float16) for total in track(sums, "What moves", len(clip))][::-1]
 
 
@@ -122,7 +126,11 @@ def estimate_resting_motion(clip: MatchedClip) -> float:
     """
     some = [clip[k].motion for k in range(0, len(clip), max(1, len(clip) // MOTION_SAMPLES))]
     known = np.concatenate([motion[motion > 0] for motion in some])
-    return float(np.clip(RESTING_MOTION_RATIO * np.median(known), MIN_RESTING_MOTION, RESTS)) if len(known) else RESTS
+    return (
+        float(np.clip(RESTING_MOTION_RATIO * np.median(known), MIN_RESTING_MOTION, MAX_REST_NOISES))
+        if len(known)
+        else MAX_REST_NOISES
+    )
 
 
 def compute_own_evidence(clip: MatchedClip, k: int, rests: float) -> np.ndarray:
@@ -135,7 +143,7 @@ def compute_own_evidence(clip: MatchedClip, k: int, rests: float) -> np.ndarray:
     reach = max(1, round(FADE_REACH * max(motion.shape)))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     largest = cv2.dilate(cv2.medianBlur(motion.astype(np.float32), 5), disc)
-    strength = np.log2(np.maximum(motion, 1e-3) / np.clip(FADE_SHARE * largest, rests, RESTS))
+    strength = np.log2(np.maximum(motion, 1e-3) / np.clip(FADE_SHARE * largest, rests, MAX_REST_NOISES))
     return np.where(motion > 0, np.clip(strength, -MAX_FRAME_EVIDENCE, MAX_FRAME_EVIDENCE), 0)
 
 
@@ -144,7 +152,7 @@ def _warp(evidence: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> np.
     height, width = evidence.shape
     points = pixel_grid(width, height) + flow
     there = sample_map(evidence.astype(np.float32), points.reshape(-1, 2)).reshape(evidence.shape)
-    return np.where(confidence >= TRUSTED, there, 0)
+    return np.where(confidence >= TRUSTED_CONFIDENCE, there, 0)
 
 
 def rough_cut(evidence: np.ndarray, frame: np.ndarray, certain: float) -> np.ndarray:
@@ -153,7 +161,7 @@ def rough_cut(evidence: np.ndarray, frame: np.ndarray, certain: float) -> np.nda
     Args:
         certain: mean evidence that an object needs.
     """
-    smooth = EdgeSmoother(frame, _SMOOTHNESS, _COLOR_SIGMA).filter(enlarge(evidence, frame))
+    smooth = EdgeSmoother(frame, _EDGE_AWARE_SMOOTHNESS, _COLOR_SIGMA).filter(enlarge(evidence, frame))
     moving: np.ndarray = (smooth > 0).astype(np.uint8)
     # Slivers, above all along the border where matches are few.
     moving = cv2.morphologyEx(moving, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5)))

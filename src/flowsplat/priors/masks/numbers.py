@@ -9,12 +9,12 @@ from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.priors.continuity import Continuity
 from flowsplat.scenes import Scene
 
-FRAGMENT = 0.2
-"""Share of an object's largest part up to which another part still belongs to it."""
+MAX_FRAGMENT_SHARE = 0.2
+"""Share of an object's largest part up to which another part still belongs to it. Chosen by eye."""
 
 
-SHARED = 0.15
-"""Share of a part that an object must hold to own it, with most of its own pixels in it."""
+MIN_OWNED_SHARE = 0.15
+"""Share of a part that an object must hold to own it, with most of its own pixels in it. Chosen by eye."""
 
 
 def number_objects(scene: Scene) -> tuple[int, float]:
@@ -46,7 +46,7 @@ def number_objects(scene: Scene) -> tuple[int, float]:
         taken: dict[int, int] = {}
         for part in sorted(range(1, count), key=lambda part: (part not in owners, -areas[part])):
             number = owners.get(part, int(np.bincount(before[labels == part], minlength=1).argmax()))
-            if number == 0 or areas[part] > FRAGMENT * taken.get(number, areas[part] / FRAGMENT):
+            if number == 0 or areas[part] > MAX_FRAGMENT_SHARE * taken.get(number, areas[part] / MAX_FRAGMENT_SHARE):
                 highest = min(highest + 1, 255)
                 number = highest
             taken.setdefault(number, int(areas[part]))
@@ -74,7 +74,7 @@ def _divide(moving: np.ndarray, before: np.ndarray) -> tuple[int, np.ndarray, di
         inside = labels == part
         held = np.bincount(before[inside], minlength=256)
         held[0] = 0
-        own = np.flatnonzero((held > SHARED * inside.sum()) & (2 * held > all_held))
+        own = np.flatnonzero((held > MIN_OWNED_SHARE * inside.sum()) & (2 * held > all_held))
         if len(own) > 1:
             away = [cv2.distanceTransform((~(inside & (before == n))).astype(np.uint8), cv2.DIST_L2, 3) for n in own]
             nearest = np.argmin(away, axis=0)

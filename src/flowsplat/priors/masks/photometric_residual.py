@@ -38,31 +38,35 @@ from flowsplat.priors.masks.background_plate import SIMILAR_SHARE, UNSEEN_DIFFER
 from flowsplat.priors.masks.plane_sweep import largest_share
 
 ASKED_FRAMES = 16
-"""Other frames that are asked, evenly over a piece of the clip."""
+"""Other frames that are asked, evenly over a piece of the clip (docs/method.md, "Flow, masks and depth")."""
 
 SURFACE_TOLERANCE = 0.04
-"""Share of the inverse depth by which two values of one surface differ at most."""
+"""Share of the inverse depth by which two values of one surface differ at most (docs/method.md, "Flow, masks and depth")."""
 
 MIN_VOTE_SHARE, MIN_VOTES = 0.25, 2
-"""Share of the frames that see anything at a pixel, and number of them, that must agree on a surface."""
+"""Share of the frames that see anything at a pixel, and number of them, that must agree on a surface (docs/method.md, "Flow,
+masks and depth")."""
 
 MAX_SURFACES = 3
-"""That are compared with a pixel at most, those of the most votes."""
+"""That are compared with a pixel at most, those of the most votes (docs/method.md, "Flow, masks and depth")."""
 
 MIN_SWEEP_RESIDUAL = 0.5
-"""Multiples of its noise by which a pixel must differ from every surface to be looked for at other depths."""
+"""Multiples of its noise by which a pixel must differ from every surface to be looked for at other depths (docs/method.md, "Flow,
+masks and depth")."""
 
 MAX_SWEEP_INVERSE_DEPTH = 20.0
-"""Largest inverse depth at which it is looked for, in those of the clip's median."""
+"""Largest inverse depth at which it is looked for, in those of the clip's median (docs/method.md, "Flow, masks and depth")."""
 
 SWEEP_STRIDE = 2
-"""Only every so many pixels is it looked for, which takes most of the time."""
+"""Only every so many pixels is it looked for, which takes most of the time (docs/method.md, "Flow, masks and depth")."""
 
 UNKNOWN_SHARE = 0.6
-"""Share that a pixel has which too few other frames could see at any depth."""
+"""Share that a pixel has which too few other frames could see at any depth. Chosen by eye."""
 
 RESIDUAL_BINS = (0.7, 1.1, 1.6, 2.5, 3.5)
+"""Rows of ``LOG_ODDS``: multiples of its noise by which a pixel differs from the nearest surface."""
 SHARE_BINS = (0.05, 0.22, 0.37, 0.52, 0.67, 0.82, 0.97)
+"""Columns of ``LOG_ODDS``: largest share of other frames that the pixel looks like at one depth."""
 LOG_ODDS = np.array([
     [0.5, 3.0, 2.4, 2.5, 2.0, 0.0, -2.0],
     [2.2, 3.8, 3.2, 3.0, 2.0, 0.0, -2.0],
@@ -71,9 +75,9 @@ LOG_ODDS = np.array([
     [6.8, 5.8, 4.3, 4.0, 2.0, 0.0, -2.0],
 ])  # fmt: skip
 """Logarithms to base 2 of how much more often objects than still things differ so many times their noise from every surface that
-others see (rows), and look like so large a share of other frames at one depth (columns). Counted in ten random worlds of 12
-wide images and seven of 40 frames, which said nearly the same; but what looks like four frames of five at one depth counts as
-still, which is right where there are many frames: thin things before the scene (poles) are often missing in its depth."""
+others see (rows), and look like so large a share of other frames at one depth (columns). Counted in ten random worlds of 12 wide
+images and seven of 40 frames, which said nearly the same; but what looks like four frames of five at one depth counts as still,
+which is right where there are many frames: thin things before the scene (poles) are often missing in its depth."""
 
 LOG_ODDS_WITHOUT_SURFACE = (1.5, 3.0, 2.1, 1.0, -0.2, -2.1, -4.0)
 """The same where no surface is known."""
@@ -82,7 +86,7 @@ LOG_ODDS_EXPLAINED = -1.75
 """The same for what looks like a surface that others see."""
 
 MIN_DEPTH_WEIGHT = 1.0
-"""Weight from which static depth of another frame counts: less than alone, because frames must agree."""
+"""Weight from which static depth of another frame counts: less than alone, because frames must agree. Chosen by eye."""
 
 
 class Unexplained:

@@ -22,14 +22,15 @@ from flowsplat.common.simd import (
 )
 from flowsplat.common.threads import parallel_for
 
-SIDE = 15.0
-"""Mean difference in gray levels from the pixel itself from which one beside it belongs to something else."""
+SAME_OBJECT_DIFFERENCE = 15.0
+"""Mean difference in gray levels from the pixel itself from which one beside it belongs to something else. Chosen by eye."""
 
 MAX_DEPTHS = 400
-"""Depths that are tried at most, a working pixel apart in the frame that sees them shift most."""
+"""Depths that are tried at most, a working pixel apart in the frame that sees them shift most. Chosen by eye."""
 
 MAX_GRAY_DIFFERENCE, MIN_FRAMES = 10.0, 4
-"""Mean difference of 3 x 3 pixels in gray levels up to which another frame shows the same, and frames that must see a place."""
+"""Mean difference of 3 x 3 pixels in gray levels up to which another frame shows the same, and frames that must see a place.
+Chosen by eye."""
 
 
 def largest_share(
@@ -90,7 +91,7 @@ def _largest_share(
                     for q in range(3):
                         here[b, a, q] = np.float32(frame[y + b - 1, x + a - 1, q])
                         total += abs(here[b, a, q] - np.float32(frame[y, x, q]))
-                    like[b, a] = total < np.float32(3 * SIDE)
+                    like[b, a] = total < np.float32(3 * SAME_OBJECT_DIFFERENCE)
                     n_like += like[b, a]
             most = np.float32(3 * n_like) * limit[y, x]
             longest = np.float32(0)

@@ -25,30 +25,33 @@ from flowsplat.priors.masks.numbers import number_objects
 from flowsplat.scenes import Scene
 
 NEUTRAL_RESIDUAL = 1.7
-"""Multiples of its noise at which a difference from the plate is evidence of neither motion nor rest."""
+"""Multiples of its noise at which a difference from the plate is evidence of neither motion nor rest. Chosen on garden, workshop,
+bear, train and random worlds of seeds 200 to 209 (docs/results.md, Masks of what moves)."""
 
 MAX_PLATE_EVIDENCE = 2.5
-"""Largest evidence of a difference from the plate: a logarithm to base 2."""
+"""Largest evidence of a difference from the plate: a logarithm to base 2. Chosen by eye."""
 
-MOTION_WEIGHT, FULL_MOTION = 0.6, 8.0
-"""Largest evidence of rest that motion gives, and the summed motion evidence at which it does; of motion half as much more."""
+MOTION_WEIGHT, FULL_MOTION_EVIDENCE = 0.6, 8.0
+"""Largest evidence of rest that motion gives, and the summed motion evidence at which it does; of motion half as much more.
+Chosen by eye."""
 
 COLOR_WEIGHT, MAX_COLOR_EVIDENCE = 0.7, 1.8
-"""Weight of the colors' logarithm to base 2, and the most that it counts."""
+"""Weight of the colors' logarithm to base 2, and the most that it counts. Chosen like ``NEUTRAL_RESIDUAL``."""
 
-MEMORY = 0.5
-"""Share of the evidence that a frame takes over from the next and the one before."""
+EVIDENCE_MEMORY = 0.5
+"""Share of the evidence that a frame takes over from the next and the one before. Chosen by eye."""
 
 MIN_MOVING_SHARE = 0.3
-"""Share of a part that must have been found by its motion."""
+"""Share of a part that must have been found by its motion (docs/method.md, "Flow, masks and depth")."""
 
 BLOCKED_MARGIN = 0.01
-"""Share of the long side by which an object may be larger than its motion shows."""
+"""Share of the long side by which an object may be larger than its motion shows. Chosen by eye."""
 
 MODEL_FRAMES = 16
-"""Frames from which the colors are taken."""
+"""Frames from which the colors are taken. Chosen by eye."""
 
-_SMOOTHNESS, _COLOR_SIGMA = 20.0, 10.0
+_EDGE_AWARE_SMOOTHNESS, _COLOR_SIGMA = 20.0, 10.0
+"""Smoothness along the edges of the image, and gray levels across which it no longer reaches. Chosen by eye."""
 
 
 def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
@@ -117,7 +120,7 @@ def _plate_evidence(clip: MatchedClip, motion: list[np.ndarray]) -> list[np.ndar
         differs = np.clip(
             np.log2(np.maximum(residual, 1e-3) / np.float32(NEUTRAL_RESIDUAL)), -MAX_PLATE_EVIDENCE, MAX_PLATE_EVIDENCE
         )
-        moves = MOTION_WEIGHT * np.clip(enlarge(motion[k], residual) / FULL_MOTION, -1, 1.5)
+        moves = MOTION_WEIGHT * np.clip(enlarge(motion[k], residual) / FULL_MOTION_EVIDENCE, -1, 1.5)
         evidence.append((np.where(residual >= 0, differs, 0) + moves).astype(np.float16))
     return evidence
 
@@ -151,10 +154,10 @@ def _propagate(clip: MatchedClip, evidence: list[np.ndarray]) -> Iterator[np.nda
         found = scene.flow(numbers[k], numbers[j])
         return found.flow, found.confidence
 
-    return propagate(clip, evidence.__getitem__, flow, MEMORY)
+    return propagate(clip, evidence.__getitem__, flow, EVIDENCE_MEMORY)
 
 
 def _outline(evidence: np.ndarray, frame: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """Return the mask [H, W] uint8 along the edges of the frame, of parts that were found by their motion."""
-    smooth = EdgeSmoother(frame, _SMOOTHNESS, _COLOR_SIGMA).filter(evidence.astype(np.float32))
+    smooth = EdgeSmoother(frame, _EDGE_AWARE_SMOOTHNESS, _COLOR_SIGMA).filter(evidence.astype(np.float32))
     return parts((smooth > 0).astype(np.uint8), enlarge(motion, frame) > 0, MIN_MOVING_SHARE)

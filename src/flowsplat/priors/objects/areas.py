@@ -7,7 +7,7 @@ import numpy as np
 from flowsplat.scenes import Scene
 
 SMALL_PART_SHARE = 0.05
-"""Of the pixels of the largest object in all training frames, the share below which one is a small part."""
+"""Of the pixels of the largest object in all training frames, the share below which one is a small part. Chosen by eye."""
 
 
 def large_objects(scene: Scene) -> set[int]:

@@ -20,24 +20,28 @@ from flowsplat.common.threads import in_threads, thread_count
 from flowsplat.images.edge_smoothing import one_thread
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth
-from flowsplat.scenes.layers import TRUSTED
+from flowsplat.scenes.layers import TRUSTED_CONFIDENCE
 
-NEAR_END = 92.0
-"""Percentile of the plate's inverse depth at which an object stands: not the nearest pixel, which a leak of the mask may hold."""
+PLATE_PERCENTILE = 92.0
+"""Percentile of the plate's inverse depth at which an object stands: not the nearest pixel, which a leak of the mask may hold.
+Chosen by eye."""
 
-COMPARED_FRAMES, NEAR_TIMES = 121, 88
-"""Training frames whose billboards are compared, and the percentile of their inverse depth, at one size, that is taken."""
+COMPARED_FRAMES, WINDOW_PERCENTILE = 121, 88
+"""Training frames whose billboards are compared, and the percentile of their inverse depth, at one size, that is taken.
+Chosen by eye."""
 
-SMOOTHING = 8.0
-"""Training frames: standard deviation of the smoothing over time of how large an object would be at its billboard's depth."""
+SMOOTHING_SIGMA = 8.0
+"""Training frames: standard deviation of the smoothing over time of how large an object would be at its billboard's depth.
+Chosen by eye."""
 
-BELIEF = 0.7
-"""How much of an object's growth is due to its depth: flow is noisy, and what turns or bends grows too."""
+GROWTH_BELIEF = 0.7
+"""How much of an object's growth is due to its depth: flow is noisy, and what turns or bends grows too. Chosen by eye."""
 
 MIN_GROWTH_PIXELS = 40
-"""Trusted working pixels of an object that tell its growth."""
+"""Trusted working pixels of an object that tell its growth. Chosen by eye."""
 
-_ROUNDS = 4
+_REWEIGHTING_ROUNDS = 4
+"""Rounds of reweighting of the fit of an object's growth. Chosen by eye."""
 
 
 def place_billboard(mask: np.ndarray, plate: np.ndarray) -> float:
@@ -47,7 +51,7 @@ def place_billboard(mask: np.ndarray, plate: np.ndarray) -> float:
     """
     kernel = np.ones((5, 5), np.uint8)
     inside = cv2.erode(mask.astype(np.uint8), kernel) > 0
-    near_end = np.percentile(plate[inside if inside.sum() >= 20 else mask], NEAR_END)
+    near_end = np.percentile(plate[inside if inside.sum() >= 20 else mask], PLATE_PERCENTILE)
     rows, columns = np.nonzero(mask)
     extent = rows.max() - rows.min()
     foot = columns[rows >= rows.max() - max(2, extent // 12)]
@@ -61,13 +65,13 @@ def growth(mask: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> float:
 
     From the affine map that explains most of the flow inside the object, by reweighted least squares.
     """
-    inside = (cv2.erode(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0) & (confidence >= TRUSTED)
+    inside = (cv2.erode(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0) & (confidence >= TRUSTED_CONFIDENCE)
     if inside.sum() < MIN_GROWTH_PIXELS:
         return 0.0
     rows, columns = np.nonzero(inside)
     places = np.stack([columns - columns.mean(), rows - rows.mean(), np.ones(len(rows))], 1)
     moved, weights = flow[inside].astype(np.float64), np.ones(len(rows))
-    for _ in range(_ROUNDS):
+    for _ in range(_REWEIGHTING_ROUNDS):
         fit = np.linalg.lstsq(places * weights[:, None], moved * weights[:, None], rcond=None)[0]
         off = np.linalg.norm(moved - places @ fit, axis=1)
         weights = 1 / np.sqrt(1 + (off / max(float(np.median(off)), 0.05)) ** 2)
@@ -95,10 +99,10 @@ def _smooth_piece(billboards: np.ndarray, growths: np.ndarray) -> np.ndarray:
     seen = np.isfinite(billboards)
     if not seen.any():
         return billboards
-    nearness = BELIEF * np.cumsum(growths)
+    nearness = GROWTH_BELIEF * np.cumsum(growths)
     at_one_size = np.interp(np.arange(len(billboards)), np.flatnonzero(seen), np.log(billboards[seen]) - nearness[seen])
-    near = percentile_filter(at_one_size, NEAR_TIMES, size=COMPARED_FRAMES, mode="nearest")
-    return np.where(seen, np.exp(gaussian_filter1d(near, SMOOTHING, mode="nearest") + nearness), np.nan)
+    near = percentile_filter(at_one_size, WINDOW_PERCENTILE, size=COMPARED_FRAMES, mode="nearest")
+    return np.where(seen, np.exp(gaussian_filter1d(near, SMOOTHING_SIGMA, mode="nearest") + nearness), np.nan)
 
 
 def make_billboards(clip: MatchedClip, background: StaticDepth) -> dict[int, np.ndarray]:

@@ -11,13 +11,14 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.background.ground import Ground
 
 LOWEST_PIXELS = 0.15
-"""Pixels that count as its lowest, in units of the root of its area: fewer may be a leak of the mask."""
+"""Pixels that count as its lowest, in units of the root of its area: fewer may be a leak of the mask. Chosen by eye."""
 MIN_PIXELS = 24
+"""Pixels of an object in a frame below which its lowest ones tell nothing. Chosen by eye."""
 MIN_HIDING = 0.06
-"""How much nearer than the ground the static scene just below its lowest pixels must be to hide its feet."""
+"""How much nearer than the ground the static scene just below its lowest pixels must be to hide its feet. Chosen by eye."""
 
 MAX_BEYOND_GROUND = 0.15
-"""How much farther the static scene is seen than the ground is supposed to be, so that it ends before."""
+"""How much farther the static scene is seen than the ground is supposed to be, so that it ends before. Chosen by eye."""
 
 
 @dataclass(frozen=True)

@@ -20,20 +20,26 @@ from flowsplat.priors.objects.rigid import RigidSolution, TrackObservations, lon
 from flowsplat.priors.objects.shape_offset import ShapePoints, place_points
 
 MIN_TRACKS, MIN_FRAMES = 16, 10
-SPLIT_HALF = 0.04
-"""Standard deviation over time between ln z of two solutions from halves of the tracks, above which none is believed."""
-INLIERS = 0.7
-RIGID_SHARE = 0.85
-"""Share of all observations on an object that its motion explains from which it does not bend, so that its points have one
-shape."""
+"""Tracks on an object, and frames with any, below which no motion is solved. Chosen by eye."""
+MAX_SPLIT_HALF_SIGMA = 0.04
+"""Standard deviation over time between ln z of two solutions from halves of the tracks, above which none is believed. Chosen on
+random worlds of seeds 0 to 14 (docs/results.md)."""
+MIN_INLIER_SHARE = 0.7
+"""Share of the observations that must lie within ``rigid.INLIER_PIXELS`` of the solution. Chosen on random worlds of seeds 0 to
+14 (docs/results.md)."""
+MIN_RIGID_SHARE = 0.85
+"""Share of all observations on an object that its motion explains from which it does not bend, so that its points have one shape.
+Walkers have 68 to 82 %, what is rigid 87 to 98 (docs/method.md, "Distance of objects")."""
 TRACKS_PER_FRAME = (50, 180)
-"""Tracks in a frame that the motion is solved from, the longest first; half of them for either half. Both are tried."""
+"""Tracks in a frame that the motion is solved from, the longest first; half of them for either half. Both are tried
+(docs/method.md, "Distance of objects")."""
 MIN_LAW_SIGMA = {"pivot": 0.02, "height": 0.03}
 """Standard deviation of ln distance that a law of motion leaves at least."""
 LAW_ERROR_RATE = {"pivot": 0.05, "height": 0.05}
 """Chance that it has nothing to do with the truth."""
-CONTRADICTED = 0.15
-"""Standard deviation over time between ln z by motion and by growth from which the ground decides which of them is right."""
+MIN_CONTRADICTION_SIGMA = 0.15
+"""Standard deviation over time between ln z by motion and by growth from which the ground decides which of them is right
+(docs/method.md, "Distance of objects")."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +100,7 @@ class DepthTrajectory:
     @property
     def bends(self) -> bool:
         """Whether its motion is not known or does not explain all of it."""
-        return self.share < RIGID_SHARE
+        return self.share < MIN_RIGID_SHARE
 
 
 def solve_depth_trajectory(
@@ -113,7 +119,7 @@ def solve_depth_trajectory(
     placed = None if motion is None else place_motion(motion, tracks)
     if motion is not None and placed is not None and images is not None:
         motion, placed = _refine(motion, placed, tracks, seen, images)
-    contradicted = placed is not None and float(np.nanstd(placed.log_depth - by_growth)) > CONTRADICTED
+    contradicted = placed is not None and float(np.nanstd(placed.log_depth - by_growth)) > MIN_CONTRADICTION_SIGMA
     if placed is not None and contradicted and feet.unevenness(by_growth) <= MAX_BOUND_RANGE < feet.unevenness(placed.log_depth):
         placed = None
     if motion is None or placed is None:
@@ -124,7 +130,7 @@ def solve_depth_trajectory(
     except np.linalg.LinAlgError:
         cues, path = {}, None  # Poses that the tracks hardly tell have no covariance: then no law does either.
     # Limbs of what bends are placed wrongly.
-    points = placed.points if placed.share >= RIGID_SHARE else ShapePoints.none()
+    points = placed.points if placed.share >= MIN_RIGID_SHARE else ShapePoints.none()
     return DepthTrajectory(np.where(seen, placed.log_depth, np.nan), motion, points, path, cues, placed.share)
 
 
@@ -139,7 +145,7 @@ def _refine(
     every, used = np.concatenate([matched, tracks.positions]), np.concatenate([counts, tracks.inside])
     surer = place_motion(refined, replace(tracks, positions=every, inside=used))
     # Two solutions that differ by more than two halves of the tracks may are not of one body.
-    if surer is None or not float(np.std((surer.log_depth - placed.log_depth)[seen])) <= SPLIT_HALF:
+    if surer is None or not float(np.std((surer.log_depth - placed.log_depth)[seen])) <= MAX_SPLIT_HALF_SIGMA:
         return motion, placed
     # Points that were chosen because they match say nothing of how much of it bends.
     return refined, surer._replace(share=placed.share)
@@ -171,14 +177,14 @@ def rigid_motions(positions: np.ndarray, inside: np.ndarray, K: np.ndarray) -> t
     motions = [whole for whole, _ in found]
     # More tracks make a rigid body surer. In what bends they are limbs that move on their own, and disagree.
     for whole, most in sorted(found, key=lambda each: each[0].noise):
-        if whole.inliers < INLIERS:
+        if whole.inliers < MIN_INLIER_SHARE:
             continue
         halves = [solved(every[start::2], most // 2) for start in (0, 1)]
         if halves[0] is None or halves[1] is None:
             continue
         differences = halves[0].log_depths() - halves[1].log_depths()
         known = np.isfinite(differences)
-        if known.sum() >= MIN_FRAMES and float(np.std(differences[known])) <= SPLIT_HALF:
+        if known.sum() >= MIN_FRAMES and float(np.std(differences[known])) <= MAX_SPLIT_HALF_SIGMA:
             return whole, motions
     return None, motions
 

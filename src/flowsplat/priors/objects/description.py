@@ -14,7 +14,7 @@ from flowsplat.priors.objects.storage import SceneObjects
 from flowsplat.scenes import Scene
 
 HALF_PIXEL = 0.5
-"""Pixels that an object may be off when it is seen from aside."""
+"""Pixels that an object may be off when it is seen from aside. Chosen by eye."""
 
 WORDS = {
     "contact": "stands on the ground",
@@ -29,7 +29,8 @@ WORDS = {
 GUESS = "nothing: a guess"
 
 HINT_BORDER = 3
-"""Pixels from the image's border within which the lowest pixel of an object is not suggested: its foot may lie outside."""
+"""Pixels from the image's border within which the lowest pixel of an object is not suggested: its foot may lie outside.
+Chosen by eye."""
 
 
 @dataclass(frozen=True)

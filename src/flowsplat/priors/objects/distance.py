@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 GRID_STEP, GRID_NEAR, GRID_FAR = 0.005, -3.0, 3.0
-"""The grid of ln s about the guess."""
+"""The grid of ln s about the guess. Chosen by eye."""
 GUESS_SIGMA, GUESS_TAIL_SIGMA, GUESS_TAIL_SHARE = 0.25, 1.2, 0.4
-"""Of the guess that every object has, where the scene behind it ends: its standard deviation, mostly, and that of
-the rest."""
+"""Of the guess that every object has, where the scene behind it ends: its standard deviation, mostly, and that of the rest.
+Chosen by eye."""
 GROUND_SIGMA = 0.25
-"""Of the guess by where it would touch the ground."""
-BOUND_SOFTNESS, BOUND_WRONG = 0.03, 0.02
-"""How sharply a far bound cuts, and its chance to be wrong."""
+"""Of the guess by where it would touch the ground. Chosen by eye."""
+BOUND_SOFTNESS, BOUND_WRONG_CHANCE = 0.03, 0.02
+"""How sharply a far bound cuts, and its chance to be wrong. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def combine(guess: float, cues: Mapping[str, Cue], bounds: Sequence[float], near
         log_p += np.log((1 - cue.wrong) * _student_density(x, cue.log_scale, cue.sigma, 4) + cue.wrong / width)
     for bound in bounds:
         inside = 1 / (1 + np.exp(np.clip((x - bound) / BOUND_SOFTNESS, -50, 50)))
-        log_p += np.log((1 - BOUND_WRONG) * inside + BOUND_WRONG)
+        log_p += np.log((1 - BOUND_WRONG_CHANCE) * inside + BOUND_WRONG_CHANCE)
     p = np.exp(log_p - log_p.max())
     p /= p.sum()
     median = float(np.interp(0.5, np.cumsum(p), x))

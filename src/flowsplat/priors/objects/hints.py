@@ -31,13 +31,14 @@ SUPPOSED_SIGMA, UNSEEN_SIGMA = 0.06, 0.15
 """The same of a contact where the ground is only supposed to go on, and where no frame saw what is behind the object: there the
 depth is filled in from around, and on a car's shadow it was .15 to .28 too near."""
 WARN_DIFFERENCE = 0.05
-"""In ln: from here on a warning says that ground and depth behind a contact differ."""
+"""In ln: from here on a warning says that ground and depth behind a contact differ. Chosen by eye."""
 HINT_ERROR_RATE = 0.02
-"""Chance that a hint is a slip of the hand."""
+"""Chance that a hint is a slip of the hand. Chosen by eye."""
 SURFACE_TOLERANCE = 0.15
-"""In ln: where the ground is this close to the still scene behind a pixel, it is what is touched, and the surer of both."""
+"""In ln: where the ground is this close to the still scene behind a pixel, it is what is touched, and the surer of both.
+Chosen by eye."""
 HINT_REACH = 0.02
-"""Share of the image's long side within which a hint that misses an object still means it."""
+"""Share of the image's long side within which a hint that misses an object still means it. Chosen by eye."""
 
 
 @dataclass(frozen=True)

@@ -16,20 +16,22 @@ import numpy as np
 from flowsplat.geometry import Camera
 from flowsplat.priors.objects.rigid import RigidSolution, pose_information, widest_turn
 
-INFLATE = 4.0
-"""Factor on the variance of tracks: their errors last for frames, so that they average out less than white noise."""
+VARIANCE_INFLATION = 4.0
+"""Factor on the variance of tracks: their errors last for frames, so that they average out less than white noise. Chosen by eye."""
 MODEL_ERROR = 0.01
-"""Share of an object's size by which any law of motion is off."""
-LARGEST_FIT = 3.0
-"""chi^2 per degree of freedom above which a path does not obey a law. As errors last for ``INFLATE`` frames, 40 frames are worth
-ten independent ones, and where the law holds their chi^2 is above 3 a degree less than once in a thousand."""
+"""Share of an object's size by which any law of motion is off. Chosen by eye."""
+MAX_REDUCED_CHI_SQUARE = 3.0
+"""chi^2 per degree of freedom above which a path does not obey a law. As errors last for ``VARIANCE_INFLATION`` frames, 40 frames
+are worth ten independent ones, and where the law holds their chi^2 is above 3 a degree less than once in a thousand."""
 BOUNCE_SPAN = 2
-"""Frames to either side over which the second difference of a height is taken."""
-BOUNCE, BOUNCE_WIDTH = 1.5, 4
-"""Second difference at a bounce, in units of that in free flight; so many frames from it there is free flight again."""
-FLIGHT_SPREAD = 1.2
-"""Spread of the second differences over time, in units of their median, up to which it is free flight."""
-FEWEST_CURVED = 8
+"""Frames to either side over which the second difference of a height is taken. Chosen by eye."""
+MIN_BOUNCE, BOUNCE_WIDTH = 1.5, 4
+"""Second difference at a bounce, in units of that in free flight; so many frames from it there is free flight again
+(docs/method.md, "Distance of objects")."""
+MAX_FLIGHT_SPREAD = 1.2
+"""Spread of the second differences over time, in units of their median, up to which it is free flight. Chosen by eye."""
+MIN_CURVED_FRAMES = 8
+"""Second differences of the height below which no bounce is looked for. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,9 @@ class WorldPath:
         free[:, 3:, 6] = shifts
         held = np.linalg.qr(free.reshape(6 * F, 7))[0]
         stiffness = 1e3 * np.median(np.diag(information))
-        covariance = np.linalg.inv(information + stiffness * held @ held.T + 1e-9 * np.eye(6 * F)) * motion.noise**2 * INFLATE
+        covariance = (
+            np.linalg.inv(information + stiffness * held @ held.T + 1e-9 * np.eye(6 * F)) * motion.noise**2 * VARIANCE_INFLATION
+        )
         to_world = np.array([cameras[t].viewmat[:3, :3].T for t in frames])
         blocks = np.zeros((F, 2, 3, F, 2, 3))
         for f in range(F):
@@ -117,7 +121,7 @@ class Law:
     @property
     def holds(self) -> bool:
         """Whether the path is off the law by no more than its noise: else no w is right, however well one is known."""
-        return bool(self.fit <= LARGEST_FIT)
+        return bool(self.fit <= MAX_REDUCED_CHI_SQUARE)
 
 
 def pivot(path: WorldPath) -> Law:
@@ -155,16 +159,16 @@ def bounce_frames(path: WorldPath, normal: np.ndarray, scale: float) -> np.ndarr
     curved = np.full(T, np.nan)
     curved[n : T - n] = height[2 * n :] - 2 * height[n : T - n] + height[: T - 2 * n]
     known = curved[np.isfinite(curved)]
-    if len(known) < FEWEST_CURVED:
+    if len(known) < MIN_CURVED_FRAMES:
         return np.zeros(0, int)
     falling = -float(np.median(known))
     spread = 1.5 * float(np.median(np.abs(known + falling)))
-    if falling <= 0 or spread > FLIGHT_SPREAD * falling:
+    if falling <= 0 or spread > MAX_FLIGHT_SPREAD * falling:
         return np.zeros(0, int)
     found = []
     for k in np.flatnonzero(np.isfinite(curved)):
         around = curved[max(k - BOUNCE_WIDTH, 0) : k + BOUNCE_WIDTH + 1]
-        if curved[k] < BOUNCE * falling or curved[k] < np.nanmax(around):
+        if curved[k] < MIN_BOUNCE * falling or curved[k] < np.nanmax(around):
             continue
         sides = [curved[j] for j in (k - BOUNCE_WIDTH, k + BOUNCE_WIDTH) if 0 <= j < T and np.isfinite(curved[j])]
         if sides and max(sides) <= 0:

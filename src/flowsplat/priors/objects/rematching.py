@@ -29,34 +29,38 @@ from flowsplat.priors.objects.shape_offset import (
     roundness,
 )
 
-RADIUS = 4
-"""Pixels of a point's surroundings to either side."""
-MOST_POINTS = 700
-"""Points of an object that are matched."""
+PATCH_RADIUS = 4
+"""Pixels of a point's surroundings to either side (docs/method.md, "Distance of objects")."""
+MAX_POINTS = 700
+"""Points of an object that are matched (docs/method.md, "Distance of objects")."""
 MATCH_ROUNDS = 2
-"""The second time the motion and the surface are better known."""
-LIKENESS = 0.85
-"""Correlation of brightness from which a match counts."""
+"""The second time the motion and the surface are better known (docs/method.md, "Distance of objects")."""
+MIN_CORRELATION = 0.85
+"""Correlation of brightness from which a match counts (docs/method.md, "Distance of objects")."""
 MAX_MATCH_SHIFT = 4.0
-"""Pixels that a match may lie away from where the motion puts it."""
-SUREST = 0.25
-"""Pixels: standard deviation of a match, in the direction that it tells least, up to which it counts."""
+"""Pixels that a match may lie away from where the motion puts it (docs/method.md, "Distance of objects")."""
+MAX_MATCH_SIGMA = 0.25
+"""Pixels: standard deviation of a match, in the direction that it tells least, up to which it counts (docs/method.md, "Distance
+of objects")."""
 MIN_VIEW_COSINE = 0.25
-"""Cosine between the surface's normal and the line of sight from which a frame shows a point."""
+"""Cosine between the surface's normal and the line of sight from which a frame shows a point. Chosen by eye."""
 MIN_COVERED_SHARE = 0.6
-"""Share of the surroundings that has to lie on the object in both frames."""
-FEWEST_MATCHES = 6
-"""Frames of a point from which it counts."""
-FEWEST_POINTS = 16
+"""Share of the surroundings that has to lie on the object in both frames. Chosen by eye."""
+MIN_POINT_FRAMES = 6
+"""Frames of a point from which it counts. Chosen by eye."""
+MIN_POINTS = 16
+"""Matched points of an object below which its motion is left as it is. Chosen by eye."""
 MIN_MATCHES = 12
-"""Matched points of a frame below which tracks help out: where an object leaves the image, hardly any point is seen often."""
-SMOOTHED = 0.6
-"""Pixels: standard deviation of the blur before images are read between pixels."""
-GATES = np.array([LIKENESS, MAX_MATCH_SHIFT, SUREST, MIN_VIEW_COSINE, MIN_COVERED_SHARE])
+"""Matched points of a frame below which tracks help out: where an object leaves the image, hardly any point is seen often.
+Chosen by eye."""
+BLUR_SIGMA = 0.6
+"""Pixels: standard deviation of the blur before images are read between pixels. Chosen by eye."""
+GATES = np.array([MIN_CORRELATION, MAX_MATCH_SHIFT, MAX_MATCH_SIGMA, MIN_VIEW_COSINE, MIN_COVERED_SHARE])
 
-_ITERATIONS = 12
+_ALIGNMENT_ITERATIONS = 12
+"""Gauss-Newton steps of a match, at most. Chosen by eye."""
 _FRAME_NOISE = 2.0
-"""Gray levels: noise of a pixel below which no match is surer."""
+"""Gray levels: noise of a pixel below which no match is surer. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +127,7 @@ def rematch_object(
             motion, rough_points(motion, tracks), positions, inside, images.gray, images.masks,
             lambda k, points=points, expected=expected: images.surface(k, points, expected), K,  # type: ignore[misc]
         )  # fmt: skip
-        if len(found) < FEWEST_POINTS:
+        if len(found) < MIN_POINTS:
             break
         # Frames in which few are found keep their tracks, and those link them to the others.
         helping = (inside & (counts.sum(0) < MIN_MATCHES)).any(1)
@@ -164,7 +168,7 @@ def rematch(
         masks,
         K.astype(np.float64), GATES, found, counts,
     )  # fmt: skip
-    kept = counts.sum(1) >= FEWEST_MATCHES
+    kept = counts.sum(1) >= MIN_POINT_FRAMES
     return found[kept], counts[kept]
 
 
@@ -176,7 +180,7 @@ def _anchors(motion: RigidSolution, points: np.ndarray, positions: np.ndarray, i
     middle = np.array([np.flatnonzero(seen[n])[seen[n].sum() // 2] for n in usable], int)
     order = np.argsort(-seen[usable].sum(1), kind="stable")
     taken: set[tuple[int, int, int]] = set()
-    cell = max(RADIUS * 0.75, 2.0)
+    cell = max(PATCH_RADIUS * 0.75, 2.0)
     chosen = []
     for k in order:
         n, t = usable[k], middle[k]
@@ -184,8 +188,8 @@ def _anchors(motion: RigidSolution, points: np.ndarray, positions: np.ndarray, i
         if where not in taken:
             taken.add(where)
             chosen.append(k)
-    if len(chosen) > MOST_POINTS:
-        chosen = [chosen[k] for k in np.linspace(0, len(chosen) - 1, MOST_POINTS).astype(int)]
+    if len(chosen) > MAX_POINTS:
+        chosen = [chosen[k] for k in np.linspace(0, len(chosen) - 1, MAX_POINTS).astype(int)]
     picked = np.array(chosen, int)
     return usable[picked], middle[picked]
 
@@ -193,18 +197,30 @@ def _anchors(motion: RigidSolution, points: np.ndarray, positions: np.ndarray, i
 def _shapes(
     anchors: np.ndarray, start: np.ndarray, surface: Callable[[int], np.ndarray], K: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Return depth [M, 2 * RADIUS + 1, 2 * RADIUS + 1] around pixels ``start`` [M, 2], in units of that there, and normals [M, 3]
-    in the camera's axes that face it."""
-    side = 2 * RADIUS + 1
+    """Return depth [M, side, side] around pixels ``start`` [M, 2], side 2 ``PATCH_RADIUS`` + 1, in units of that there, and
+    normals [M, 3] in the camera's axes that face it."""
+    side = 2 * PATCH_RADIUS + 1
     shapes, normals = np.ones((len(anchors), side, side)), np.zeros((len(anchors), 3))
     for t in np.unique(anchors):
         depth = surface(int(t))
         for m in np.flatnonzero(anchors == t):
             around = cv2.getRectSubPix(depth, (side, side), (float(start[m, 0] - 0.5), float(start[m, 1] - 0.5)))
-            around = around - around[RADIUS, RADIUS]
+            around = around - around[PATCH_RADIUS, PATCH_RADIUS]
             shapes[m] = np.exp(around)
-            gx = float(around[RADIUS - 1 : RADIUS + 2, RADIUS + 2].mean() - around[RADIUS - 1 : RADIUS + 2, RADIUS - 2].mean()) / 4
-            gy = float(around[RADIUS + 2, RADIUS - 1 : RADIUS + 2].mean() - around[RADIUS - 2, RADIUS - 1 : RADIUS + 2].mean()) / 4
+            gx = (
+                float(
+                    around[PATCH_RADIUS - 1 : PATCH_RADIUS + 2, PATCH_RADIUS + 2].mean()
+                    - around[PATCH_RADIUS - 1 : PATCH_RADIUS + 2, PATCH_RADIUS - 2].mean()
+                )
+                / 4
+            )
+            gy = (
+                float(
+                    around[PATCH_RADIUS + 2, PATCH_RADIUS - 1 : PATCH_RADIUS + 2].mean()
+                    - around[PATCH_RADIUS - 2, PATCH_RADIUS - 1 : PATCH_RADIUS + 2].mean()
+                )
+                / 4
+            )
             x, y = start[m] - K[:2, 2]
             normal = np.array([K[0, 0] * gx, K[1, 1] * gy, -1 - x * gx - y * gy])
             normals[m] = normal / np.linalg.norm(normal)
@@ -213,7 +229,7 @@ def _shapes(
 
 def gray(image: np.ndarray) -> np.ndarray:
     """Return [H, W] uint8 of an image [H, W, 3] uint8, a little smoothed, so that it can be read between pixels."""
-    return cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), (0, 0), SMOOTHED)
+    return cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), (0, 0), BLUR_SIGMA)
 
 
 @helper
@@ -292,7 +308,7 @@ def _match(
             x0, y0 = fx * q[0] / q[2] + cx, fy * q[1] / q[2] + cy
             dx, dy, likeness, spread_ = 0.0, 0.0, -1.0, np.inf
             good = True
-            for _ in range(_ITERATIONS):
+            for _ in range(_ALIGNMENT_ITERATIONS):
                 sw, sv, st = 0.0, 0.0, 0.0
                 for k in range(side * side):
                     w2[k] = 0.0

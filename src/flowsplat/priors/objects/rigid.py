@@ -23,28 +23,33 @@ from flowsplat.priors.objects.rigid_equations import (
     widest_link,
 )
 
-RESIDUAL_WIDTH = 1.0
-"""Pixels: an observation this far off has half its weight (Cauchy)."""
+RESIDUAL_SCALE = 1.0
+"""Pixels: an observation this far off has half its weight (Cauchy). Chosen by eye."""
 SHAPE_RIDGE = 0.05
-"""Precision of the prior that an object is no deeper than it is wide, in units of 1 / its width^2."""
-SMOOTHNESS = 20.0
-"""Precision of the prior that its pose changes evenly from frame to frame: it carries over frames with few tracks."""
+"""Precision of the prior that an object is no deeper than it is wide, in units of 1 / its width^2. Chosen by eye."""
+POSE_SMOOTHNESS = 20.0
+"""Precision of the prior that its pose changes evenly from frame to frame: it carries over frames with few tracks. Chosen by eye.
+"""
 TRACKS_PER_FRAME = 45
-"""The longest tracks are taken until this many are seen in every frame."""
-FEWEST_SHARED = 6
-"""Known points that a frame must see to be added."""
+"""The longest tracks are taken until this many are seen in every frame. Chosen by eye."""
+MIN_SHARED_POINTS = 6
+"""Known points that a frame must see to be added. Chosen by eye."""
 MIN_POINT_DEPTH = 0.05
-"""Depth, in units of the object's mean distance, below which a point is taken for this near."""
+"""Depth, in units of the object's mean distance, below which a point is taken for this near. Chosen by eye."""
 INLIER_PIXELS = 1.5
-"""Pixels up to which an observation agrees with the solution."""
+"""Pixels up to which an observation agrees with the solution (docs/method.md, "Distance of objects")."""
 
 _GROW_ITERATIONS, _FINAL_ITERATIONS, _POSE_ITERATIONS = 4, 30, 8
+"""Iterations of an adjustment while the solution grows, of the last one, and of the pose of one frame, at most. Chosen by eye."""
 _ADJUST_EVERY, _ADJUST_SHARE = 4, 0.05
-"""While it grows, a solution is adjusted when it has so many more frames, or this share more: all of it each time."""
+"""While it grows, a solution is adjusted when it has so many more frames, or this share more: all of it each time
+(docs/method.md, "Distance of objects")."""
 _DAMPING_TRIES = 5
-_MAX_TRACK_FRAMES, _STAGGER = 100, 61
+"""How often a step that raises the cost is tried again with more damping. Chosen by eye."""
+_MAX_TRACK_FRAMES, _TRACK_CUT_STAGGER = 100, 61
 """Frames over which a track counts as one point; a longer one is two or more. One that lasts for all of a long clip would join
-all of its poses, and time grow with the cube of their number. Where one is cut, and by how many frames later the next one."""
+all of its poses, and time grow with the cube of their number. Where one is cut, and by how many frames later the next one
+(docs/method.md, "Distance of objects")."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +97,7 @@ class TrackObservations:
         since = self.frame_of - self.frame_of[self.first[point]]
         cut_from = np.zeros(self.points, np.int64)
         late = point[since >= _MAX_TRACK_FRAMES]
-        cut_from[late] = _STAGGER * late % _MAX_TRACK_FRAMES
+        cut_from[late] = _TRACK_CUT_STAGGER * late % _MAX_TRACK_FRAMES
         piece = (since + cut_from[point]) // _MAX_TRACK_FRAMES
         starts = np.flatnonzero(np.diff(self.point_of, prepend=-1) | np.diff(piece, prepend=0))
         return replace(self, first=np.append(starts, len(self.x)))
@@ -174,7 +179,7 @@ def pose_information(motion: RigidSolution) -> tuple[np.ndarray, np.ndarray]:
     turns, shifts = motion.turns[frames], motion.shifts[frames]
     prior = _unevenness(turns, shifts)[0]
     H = reduce_system(
-        turns, shifts, motion.points, o.first, place[o.frame_of], o.x, motion.known, o.focal, RESIDUAL_WIDTH,
+        turns, shifts, motion.points, o.first, place[o.frame_of], o.x, motion.known, o.focal, RESIDUAL_SCALE,
         SHAPE_RIDGE / motion.size**2, 0.0, widest_link(o.first, place[o.frame_of], motion.known),
     )[0]  # fmt: skip
     H[:, : prior.shape[1]] += prior
@@ -231,7 +236,7 @@ class _Solver:
         o = self._o
         self._known = np.isfinite(points).all(1)
         counts = np.bincount(o.frame_of[self._known[self._point_of]], minlength=o.frames)
-        self._used = motion.used & (counts >= FEWEST_SHARED)
+        self._used = motion.used & (counts >= MIN_SHARED_POINTS)
         self._turns, self._shifts = motion.turns.copy(), motion.shifts.copy()
         self._points = np.where(self._known[:, None], points, 0)
         self._size, self._reference = motion.size, int(counts.argmax())
@@ -242,7 +247,7 @@ class _Solver:
         lengths = np.minimum(np.diff(o.first), 40).astype(float)
         self._reference = int(np.bincount(o.frame_of, lengths[self._point_of], o.frames).argmax()) if len(o.x) else 0
         rows = self._rows[self._reference]
-        if len(rows) < FEWEST_SHARED:
+        if len(rows) < MIN_SHARED_POINTS:
             return False
         middle = np.median(o.x[rows], 0)
         self._size = max(float(np.std(o.x[rows], axis=0).max()), 1e-3)
@@ -258,7 +263,7 @@ class _Solver:
             rows = self._rows[t]
             known = self._known[self._point_of[rows]]
             old, new = rows[known], rows[~known]
-            if len(old) < FEWEST_SHARED:
+            if len(old) < MIN_SHARED_POINTS:
                 continue
             near = np.flatnonzero(self._used)
             self._place(t, int(near[np.abs(near - t).argmin()]), old)
@@ -279,7 +284,7 @@ class _Solver:
         middle = self._shifts[near, :2] / self._shifts[near, 2] + np.median(now - before, 0)
         shift = np.array([*(middle * z), z])
         self._turns[t], self._shifts[t] = refine_pose(
-            self._turns[near].copy(), shift, points, np.ascontiguousarray(now), o.focal, RESIDUAL_WIDTH, _POSE_ITERATIONS
+            self._turns[near].copy(), shift, points, np.ascontiguousarray(now), o.focal, RESIDUAL_SCALE, _POSE_ITERATIONS
         )
         self._used[t] = True
 
@@ -290,7 +295,7 @@ class _Solver:
         place[frames] = np.arange(len(frames))
         turns, shifts, points = self._turns[frames], self._shifts[frames], self._points
         ridge = SHAPE_RIDGE / self._size**2
-        fixed = o.first, place[o.frame_of], o.x, self._known, o.focal, RESIDUAL_WIDTH, ridge
+        fixed = o.first, place[o.frame_of], o.x, self._known, o.focal, RESIDUAL_SCALE, ridge
         reach = widest_link(o.first, place[o.frame_of], self._known)
         damping, cost = 1e-3, robust_cost(turns, shifts, points, *fixed) + _unevenness(turns, shifts)[2]
         for _ in range(iterations):
@@ -342,5 +347,6 @@ def _radius(x: np.ndarray) -> float:
 
 
 def _unevenness(turns: np.ndarray, shifts: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Prior of even motion as normal equations, a band [6F, 13] and [6F], and cost: second differences, weighed ``SMOOTHNESS``."""
-    return second_differences(turns, shifts, SMOOTHNESS)
+    """Prior of even motion as normal equations, a band [6F, 13] and [6F], and cost: second differences, weighed
+    ``POSE_SMOOTHNESS``."""
+    return second_differences(turns, shifts, POSE_SMOOTHNESS)

@@ -10,15 +10,15 @@ from scipy.linalg import cho_factor, cho_solve, solveh_banded
 
 from flowsplat.common.kernels import helper, kernel
 
-_BANDED = 1.5
-"""Times the width of its band that a system is large at least to be solved as one."""
+_MIN_BANDED_RATIO = 1.5
+"""Times the width of its band that a system is large at least to be solved as one. Chosen by eye."""
 
 
 def solve_band(H: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the solution of H x = b, H symmetric and positive, as a band: [n, w] holds its entries (i, i + d)."""
     n, band = H.shape
     try:
-        if _BANDED * band > n:
+        if _MIN_BANDED_RATIO * band > n:
             return np.asarray(cho_solve(cho_factor(unpack_band(H), overwrite_a=True, check_finite=False), b, check_finite=False))
         return np.asarray(solveh_banded(H.T, b, lower=True, check_finite=False))
     except np.linalg.LinAlgError:  # It is positive but for rounding.

@@ -9,24 +9,25 @@ import numpy as np
 
 from flowsplat.common.kernels import kernel
 from flowsplat.images.edge_smoothing import EdgeSmoother
-from flowsplat.priors.objects.rigid import INLIER_PIXELS, MIN_POINT_DEPTH, RESIDUAL_WIDTH, RigidSolution, TrackObservations
+from flowsplat.priors.objects.rigid import INLIER_PIXELS, MIN_POINT_DEPTH, RESIDUAL_SCALE, RigidSolution, TrackObservations
 from flowsplat.priors.objects.rigid_equations import derivatives
 
-ROUND = 0.75
-"""How deep the front of an object is expected to be, in units of a ball's of its width."""
-DISCS = 0.8 ** np.arange(9)
-"""Radii of the discs that are tried, in units of the largest one inside an object."""
+EXPECTED_ROUNDNESS = 0.75
+"""How deep the front of an object is expected to be, in units of a ball's of its width (docs/method.md, "Distance of objects")."""
+DISC_RADII = 0.8 ** np.arange(9)
+"""Radii of the discs that are tried, in units of the largest one inside an object. Chosen by eye."""
 EXPECTED_OFFSET_SIGMA = 0.6
-"""Standard deviation of the shape offset that is expected, in units of the object's half width."""
-SMOOTHNESS = 60.0
+"""Standard deviation of the shape offset that is expected, in units of the object's half width. Chosen by eye."""
+OFFSET_SMOOTHNESS = 60.0
 """Of the shape offset, as in the fast global smoother."""
 COLOR_SIGMA = 12.0
-"""Gray levels across which it is less smooth."""
+"""Gray levels across which it is less smooth. Chosen by eye."""
 NOISE_FACTOR = 2.0
-"""Errors of tracks last for frames: standard deviation of a point's depth over that of white noise."""
-OFF_LIMIT = 2.0
-"""Pixels up to which an observation tells of the shape offset."""
-_ITERATIONS = 6
+"""Errors of tracks last for frames: standard deviation of a point's depth over that of white noise. Chosen by eye."""
+MAX_OBSERVATION_ERROR = 2.0
+"""Pixels up to which an observation tells of the shape offset. Chosen by eye."""
+_FIT_ITERATIONS = 6
+"""Iterations in which the points of an object are placed. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def place_points(motion: RigidSolution, observations: TrackObservations, K: np.n
     axis = motion.turns[t][:, 2]
     noise = NOISE_FACTOR * motion.noise
     sigma = noise * np.sqrt(np.maximum(np.einsum("mi,mij,mj->m", axis, covariances[n], axis), 0)) / depth
-    good = motion.used[t] & (off < OFF_LIMIT) & (y[:, 2] > MIN_POINT_DEPTH) & np.isfinite(sigma)
+    good = motion.used[t] & (off < MAX_OBSERVATION_ERROR) & (y[:, 2] > MIN_POINT_DEPTH) & np.isfinite(sigma)
     pixels = o.x * [K[0, 0], K[1, 1]] + K[:2, 2]
     share = float((off[motion.used[t]] < INLIER_PIXELS).mean()) if motion.used[t].any() else 0.0
     return ShapePoints(t[good], pixels[good], np.log(depth[good]), np.maximum(sigma[good], 1e-4)), share
@@ -82,14 +83,15 @@ def rough_points(motion: RigidSolution, observations: TrackObservations) -> np.n
 def _solve_offset(motion: RigidSolution, o: TrackObservations) -> tuple[np.ndarray, np.ndarray]:
     """Solve one object of ``_place``."""
     placed: tuple[np.ndarray, np.ndarray] = _place(
-        motion.turns, motion.shifts, motion.used, o.first, o.frame_of, o.x, o.focal, RESIDUAL_WIDTH,
-        (NOISE_FACTOR * motion.noise / (EXPECTED_OFFSET_SIGMA * motion.size)) ** 2, _ITERATIONS,
+        motion.turns, motion.shifts, motion.used, o.first, o.frame_of, o.x, o.focal, RESIDUAL_SCALE,
+        (NOISE_FACTOR * motion.noise / (EXPECTED_OFFSET_SIGMA * motion.size)) ** 2, _FIT_ITERATIONS,
     )  # fmt: skip
     return placed
 
 
 def roundness(mask: np.ndarray, focal: float) -> np.ndarray:
-    """Offsets of ln depth [H, W] float32 of a body that is as deep as it is wide, ``ROUND`` of a sphere's; median 0 over the mask.
+    """Offsets of ln depth [H, W] float32 of a body that is as deep as it is wide, ``EXPECTED_ROUNDNESS`` of a sphere's; median 0
+    over the mask.
 
     Each pixel lies on the largest disc inside the outline that holds it: limbs are thin, bodies thick.
 
@@ -108,11 +110,11 @@ def roundness(mask: np.ndarray, focal: float) -> np.ndarray:
     padded = np.pad(inside, ((above, int(y1 < mask.shape[0])), (left, int(x1 < mask.shape[1]))))
     rim = cv2.distanceTransform(padded, cv2.DIST_L2, 5)
     radius = rim.copy()
-    for level in float(rim.max()) * DISCS:
+    for level in float(rim.max()) * DISC_RADII:
         near = cv2.distanceTransform((rim < level).astype(np.uint8), cv2.DIST_L2, 5) < level
         radius = np.where(near & (rim > 0), np.maximum(radius, level), radius)
     height = np.sqrt(np.maximum(rim * (2 * radius - rim), 0))[above : above + y1 - y0, left : left + x1 - x0]
-    offsets = -ROUND / focal * height
+    offsets = -EXPECTED_ROUNDNESS / focal * height
     result[y0:y1, x0:x1] = np.where(inside > 0, offsets - np.median(offsets[inside > 0]), 0)
     return result
 
@@ -139,7 +141,7 @@ def interpolate_shape_offset(
     weight = 1 / (sigma**2 + (0.1 * expected) ** 2)
     np.add.at(weights, (row, column), weight)
     np.add.at(sums, (row, column), weight * offsets)
-    smoother = EdgeSmoother(image[y0:y1, x0:x1], SMOOTHNESS, COLOR_SIGMA)
+    smoother = EdgeSmoother(image[y0:y1, x0:x1], OFFSET_SMOOTHNESS, COLOR_SIGMA)
     # One expectation for each patch as wide as a quarter of the object.
     patch = max(1.0, len(y) / 16)
     held = 1 / (expected**2 * patch)

@@ -26,13 +26,15 @@ from flowsplat.priors.objects.path import bounce_frames
 from flowsplat.priors.objects.rematching import ObjectImages
 from flowsplat.priors.objects.shape_offset import EXPECTED_OFFSET_SIGMA, ShapePoints, interpolate_shape_offset, roundness
 
-SHORTEST_TRACK = 5
+MIN_TRACK_FRAMES = 5
+"""Frames in which a track must be seen to tell of an object. Chosen by eye."""
 MIN_INSIDE_SHARE = 0.7
-"""Share of a track that must lie inside an object to be on it."""
-GUESS_PERCENTILE, ABOVE_GROUND = 10, 0.15
-"""What does not touch the ground is guessed to be this much nearer, in ln, than where it would."""
+"""Share of a track that must lie inside an object to be on it. Chosen by eye."""
+GUESS_PERCENTILE, ABOVE_GROUND_LEAD = 10, 0.15
+"""What does not touch the ground is guessed to be this much nearer, in ln, than where it would. Chosen by eye."""
 BOUND_PERCENTILE, BOUND_SLACK = 5, 0.03
-"""Over time, of where an object would touch the ground: it is not farther than this in any frame, but for errors of its outline."""
+"""Over time, of where an object would touch the ground: it is not farther than this in any frame, but for errors of its outline.
+Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ def tracks_of_objects(
     for number in np.unique(labels[labels > 0]):
         inside = labels == number
         count = inside.sum(1)
-        chosen = np.flatnonzero((count >= SHORTEST_TRACK) & (count >= MIN_INSIDE_SHARE * seen_often))
+        chosen = np.flatnonzero((count >= MIN_TRACK_FRAMES) & (count >= MIN_INSIDE_SHARE * seen_often))
         found[int(number)] = chosen, inside[chosen]
     return found
 
@@ -213,5 +215,5 @@ def _distance(
     if touch is not None and touch in cues.values():
         # What hides behind an object that touches the ground says nothing that its feet do not say better.
         return combine(touch.log_scale, cues, far), cues
-    near_ground = float(np.percentile(known, GUESS_PERCENTILE)) - ABOVE_GROUND if len(known) >= MIN_BOUNDS else None
+    near_ground = float(np.percentile(known, GUESS_PERCENTILE)) - ABOVE_GROUND_LEAD if len(known) >= MIN_BOUNDS else None
     return combine(guess, cues, far, near_ground), cues

@@ -24,9 +24,9 @@ from flowsplat.priors.objects.storage import SceneObjects, save_objects
 from flowsplat.scenes import Scene
 
 MIN_PIXELS = 20
-"""Pixels of an object from which a frame tells of it."""
+"""Pixels of an object from which a frame tells of it. Chosen by eye."""
 GROUND_FRAMES = 16
-"""Frames of a piece that the ground is found in."""
+"""Frames of a piece that the ground is found in. Chosen by eye."""
 
 
 def objects_stage(

@@ -19,10 +19,12 @@ from flowsplat.scenes.layers import write_image
 IMAGE = "clicks.png"
 """In the folder of a scene."""
 
-NEXT, FARTHER = 1, 3
-"""Training frames to the one that a box is matched with, and a click alone, whose own motion must be told from all else."""
+BOX_FRAME_GAP, CLICK_FRAME_GAP = 1, 3
+"""Training frames to the one that a box is matched with, and a click alone, whose own motion must be told from all else. Chosen
+on tuned scenes and random worlds (docs/results.md, Clicks and boxes)."""
 
-_ON, _BESIDE, _BOX = (60, 230, 60), (240, 50, 50), (255, 220, 0)
+_CLICK_COLOR, _BESIDE_COLOR, _BOX_COLOR = (60, 230, 60), (240, 50, 50), (255, 220, 0)
+"""Red, green and blue in which clicks on and beside an object and boxes are drawn. Chosen by eye."""
 
 
 def cut_prompts(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimator) -> list[np.ndarray]:
@@ -34,7 +36,7 @@ def cut_prompts(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimator
         if not prompt.clicks and prompt.box is None:
             found.append(np.zeros(image.shape[:2], bool))
             continue
-        pair = prompt.frame, _near(scene, prompt.frame, FARTHER if prompt.box is None else NEXT)
+        pair = prompt.frame, _near(scene, prompt.frame, CLICK_FRAME_GAP if prompt.box is None else BOX_FRAME_GAP)
         if pair not in flows:
             flows[pair] = _one_flow(scene, *pair, estimate)
         found.append(cut_out(image, flows[pair], prompt))
@@ -78,13 +80,13 @@ def _one_flow(scene: Scene, i: int, j: int, estimate: FlowEstimator) -> Flow:
 def _draw(image: np.ndarray, prompt: Prompt) -> None:
     """Box, clicks, and the number of the object, on an image [H, W, 3] uint8."""
     radius = max(2, round(CLICK_RADIUS * max(image.shape)))
-    for points, color in ((prompt.clicks, _ON), (prompt.beside, _BESIDE)):
+    for points, color in ((prompt.clicks, _CLICK_COLOR), (prompt.beside, _BESIDE_COLOR)):
         for x, y in points:
             cv2.circle(image, (int(x), int(y)), radius + 1, (0, 0, 0), -1, cv2.LINE_AA)
             cv2.circle(image, (int(x), int(y)), radius, color, -1, cv2.LINE_AA)
     if prompt.box is not None:
         x0, y0, x1, y1 = (round(value) for value in prompt.box)
-        cv2.rectangle(image, (x0, y0), (x1 - 1, y1 - 1), _BOX, 1)
+        cv2.rectangle(image, (x0, y0), (x1 - 1, y1 - 1), _BOX_COLOR, 1)
     corner = prompt.box[:2] if prompt.box is not None else prompt.clicks[0] if prompt.clicks else None
     if corner is not None:
         _write(image, str(prompt.number), (int(corner[0]) + radius + 2, int(corner[1]) + 12))

@@ -14,39 +14,41 @@ from flowsplat.priors.prompts.parsing import CLICK_RADIUS, Point, Prompt
 from flowsplat.scenes import Flow
 
 SEARCH_REACH = 0.25
-"""Share of the image's long side within which the object under a click is looked for."""
+"""Share of the image's long side within which the object under a click is looked for. Chosen by eye."""
 
-MENDED = 0.08
-"""The same of what a click adds to an object that was carried, or takes from it."""
+MENDING_REACH = 0.08
+"""The same of what a click adds to an object that was carried, or takes from it (docs/method.md, "Flow, masks and depth")."""
 
 MIN_OWN_MOTION = 1.0
-"""Pixels a frame by which an object's motion must differ from its surroundings' to be told by it."""
+"""Pixels a frame by which an object's motion must differ from its surroundings' to be told by it. Chosen by eye."""
 
 MIN_CUT_SHARE = 0.2
-"""Share of a first guess below which what GrabCut leaves of it is a failure."""
+"""Share of a first guess below which what GrabCut leaves of it is a failure. Chosen by eye."""
 
 SURROUNDINGS_SIDES = 0.5
-"""Sides of a box within which what is round it tells how what is behind it moves."""
+"""Sides of a box within which what is round it tells how what is behind it moves. Chosen by eye."""
 
 MIN_FLOW_NOISE, MOTION_NOISE_RATIO = 0.15, 2.5
-"""Least noise of the flow around in pixels, and multiples of it at which a motion is evidence of neither."""
+"""Least noise of the flow around in pixels, and multiples of it at which a motion is evidence of neither (docs/method.md, "Flow,
+masks and depth")."""
 
-SAMPLES, MIN_FIT_PIXELS = 4000, 50
-"""Pixels that it is fitted to at most, and at least."""
+MAX_FIT_PIXELS, MIN_FIT_PIXELS = 4000, 50
+"""Pixels that it is fitted to at most, and at least. Chosen by eye."""
 
-OF_EVIDENCE, MAX_FIT_PIXELS, SURE_EVIDENCE = 0.5, 3.0, 1.5
-"""Weight of what all frames say, the most that evidence counts (a logarithm to base 2), and what is sure of it."""
+EVIDENCE_WEIGHT, MAX_EVIDENCE, SURE_EVIDENCE = 0.5, 3.0, 1.5
+"""Weight of what all frames say, the most that evidence counts (a logarithm to base 2), and what is sure of it. The first was
+chosen on tuned scenes and random worlds (docs/method.md, "Flow, masks and depth"; docs/results.md, Clicks and boxes)."""
 
-MOVING_SHARE = 0.08
-"""Share of a box that must surely move for evidence to decide in it."""
+MIN_MOVING_SHARE = 0.08
+"""Share of a box that must surely move for evidence to decide in it (docs/method.md, "Flow, masks and depth")."""
 
 COLOR_WEIGHT, MAX_COLOR_EVIDENCE = 0.7, 1.5
-"""Weight of the colors' logarithm to base 2, and the most that it counts."""
+"""Weight of the colors' logarithm to base 2, and the most that it counts. Chosen by eye."""
 
-_MODELS = 3
-"""How often the colors are taken anew."""
-SMOOTHNESS, COLOR_SIGMA = 20.0, 10.0
-"""Of the smoother along the edges of the image, and gray levels across which it no longer reaches."""
+_COLOR_ROUNDS = 3
+"""How often the colors are taken anew (docs/method.md, "Flow, masks and depth")."""
+EDGE_AWARE_SMOOTHNESS, COLOR_SIGMA = 20.0, 10.0
+"""Of the smoother along the edges of the image, and gray levels across which it no longer reaches. Chosen by eye."""
 
 
 def cut_out(image: np.ndarray, flow: Flow, prompt: Prompt, evidence: np.ndarray | None = None) -> np.ndarray:
@@ -73,13 +75,13 @@ def list_excluded(prompt: Prompt, found: np.ndarray) -> tuple[Point, ...]:
 def _cut(image: np.ndarray, flow: Flow, prompt: Prompt, evidence: np.ndarray | None) -> np.ndarray:
     """As ``cut_out``, away from all that is said to be beside."""
     seeds, beside, possible = _places(prompt, flow.confidence.shape)
-    bits = _unlike_around(flow, seeds, possible, prompt) if evidence is None else np.float32(OF_EVIDENCE) * evidence
-    bits = cv2.medianBlur(np.clip(bits, -MAX_FIT_PIXELS, MAX_FIT_PIXELS).astype(np.float32), 5)
+    bits = _unlike_around(flow, seeds, possible, prompt) if evidence is None else np.float32(EVIDENCE_WEIGHT) * evidence
+    bits = cv2.medianBlur(np.clip(bits, -MAX_EVIDENCE, MAX_EVIDENCE).astype(np.float32), 5)
     chosen = _choose_evidence(bits, prompt, seeds, possible)
     if chosen is None:
         found = _by_colors(image, flow.flow, prompt, seeds, beside, possible)
     else:
-        found = _by_evidence(image, np.where(possible, chosen, -MAX_FIT_PIXELS), seeds, beside, possible)
+        found = _by_evidence(image, np.where(possible, chosen, -MAX_EVIDENCE), seeds, beside, possible)
     found &= ~beside
     return keep_touched(found, seeds) if prompt.clicks else found
 
@@ -99,13 +101,13 @@ def correct(image: np.ndarray, flow: Flow, prompt: Prompt, carried: np.ndarray, 
     guess = carried.copy()
     for click in prompt.clicks:
         if not carried[_pixel(click, shape)]:
-            near = _disc([click], shape, MENDED * max(shape))
+            near = _disc([click], shape, MENDING_REACH * max(shape))
             added = cut_out(image, flow, Prompt(prompt.frame, (click,), None, prompt.beside), evidence)
             guess |= added & near if (carried & near).any() else added
     for click in prompt.beside:
         if guess[_pixel(click, shape)]:
             spot = _disc([click], shape)
-            near = _disc([click], shape, MENDED * max(shape)) & guess
+            near = _disc([click], shape, MENDING_REACH * max(shape)) & guess
             guess &= ~(_like_the_click(image, flow.flow, spot, near) & near)
     guess = (guess | seeds) & ~beside
     trimap = np.full(shape, cv2.GC_BGD, np.uint8)
@@ -170,7 +172,7 @@ def _apart_from(flow: Flow, ring: np.ndarray) -> tuple[np.ndarray, float]:
     """Return pixels [H, W] by which a flow differs from what is affine and fits most of ``ring``, and by which it differs there."""
     height, width = ring.shape
     rows, columns = np.nonzero(ring)
-    every = max(1, len(rows) // SAMPLES)
+    every = max(1, len(rows) // MAX_FIT_PIXELS)
     rows, columns = rows[::every], columns[::every]
     x, y = np.meshgrid((np.arange(width) - width / 2) / width, (np.arange(height) - height / 2) / width)
     terms = np.stack([np.ones_like(x), x, y], -1)
@@ -194,7 +196,7 @@ def _choose_evidence(bits: np.ndarray, prompt: Prompt, seeds: np.ndarray, possib
         own = np.isin(np.arange(count), labels[seeds])
         own[0] = False
         return np.where(own[labels], bits, np.minimum(bits, -1))
-    if ((bits > SURE_EVIDENCE) & possible).sum() < MOVING_SHARE * possible.sum():
+    if ((bits > SURE_EVIDENCE) & possible).sum() < MIN_MOVING_SHARE * possible.sum():
         return None
     within, total = (np.bincount(labels[where], minlength=count) for where in (possible, np.ones_like(possible)))
     # What reaches far out of the box is something else.
@@ -202,23 +204,23 @@ def _choose_evidence(bits: np.ndarray, prompt: Prompt, seeds: np.ndarray, possib
     others[0] = False
     if within[1:][~others[1:]].sum() < 0.05 * possible.sum():
         others[:] = False
-    return np.where(others[labels], -MAX_FIT_PIXELS, bits)
+    return np.where(others[labels], -MAX_EVIDENCE, bits)
 
 
 def _by_evidence(image: np.ndarray, bits: np.ndarray, seeds: np.ndarray, beside: np.ndarray, possible: np.ndarray) -> np.ndarray:
     """Return evidence and colors, which are learned from it, added up and smoothed along the edges of the image: bool [H, W]."""
-    smoother = EdgeSmoother(image, SMOOTHNESS, COLOR_SIGMA)
+    smoother = EdgeSmoother(image, EDGE_AWARE_SMOOTHNESS, COLOR_SIGMA)
     bits = bits.astype(np.float32)
-    bits[seeds], bits[beside] = 2 * MAX_FIT_PIXELS, -2 * MAX_FIT_PIXELS
+    bits[seeds], bits[beside] = 2 * MAX_EVIDENCE, -2 * MAX_EVIDENCE
     total = smoother.filter(bits)
-    for _ in range(_MODELS):
+    for _ in range(_COLOR_ROUNDS):
         colors = ColorModel()
         colors.add(image, possible & (total > 0) & ~beside)
         table = colors.table()
         if table is None:
             break
         like = np.float32(COLOR_WEIGHT) * np.clip(look_up(table, image), -MAX_COLOR_EVIDENCE, MAX_COLOR_EVIDENCE)
-        total = smoother.filter(np.where(possible, bits + like, -2 * MAX_FIT_PIXELS).astype(np.float32))
+        total = smoother.filter(np.where(possible, bits + like, -2 * MAX_EVIDENCE).astype(np.float32))
     found = possible & (total > 0)
     return snap_to_edges(image, found) if found.any() else seeds.copy()
 

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 
 GRABCUT_ROUNDS = 4
-"""Of GrabCut on the frame with the prompt; one is enough to correct an edge."""
+"""Of GrabCut on the frame with the prompt; one is enough to correct an edge. Chosen by eye."""
 
-BAND = 0.012
-"""Share of the image's long side by which the flow may misplace an edge."""
+EDGE_BAND = 0.012
+"""Share of the image's long side by which the flow may misplace an edge (docs/method.md, "Flow, masks and depth")."""
 
 
 def grab(image: np.ndarray, trimap: np.ndarray, rounds: int) -> np.ndarray:
@@ -38,7 +38,7 @@ def grab(image: np.ndarray, trimap: np.ndarray, rounds: int) -> np.ndarray:
 
 def snap_to_edges(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Return the mask, bool [H, W], with its edge moved to one of the image RGB [H, W, 3] where there is one nearby."""
-    margin = max(2, round(BAND * max(mask.shape)))
+    margin = max(2, round(EDGE_BAND * max(mask.shape)))
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin + 1, 2 * margin + 1))
     solid = mask.astype(np.uint8)
     trimap = np.full(mask.shape, cv2.GC_BGD, np.uint8)

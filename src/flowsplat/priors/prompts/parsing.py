@@ -37,7 +37,8 @@ class Prompt:
 
 
 CLICK_RADIUS = 0.006
-"""Share of the long side of the image: of what is clicked, of what is drawn, and within which two clicks are on one place."""
+"""Share of the long side of the image: of what is clicked, of what is drawn, and within which two clicks are on one place.
+Chosen by eye."""
 
 
 def parse_prompts(clicks: Sequence[str], boxes: Sequence[str], scene: Scene, beside: Sequence[str] = ()) -> list[Prompt]:

@@ -15,32 +15,34 @@ from flowsplat.priors.masks.colors import ColorModel, look_up
 from flowsplat.priors.prompts.cutting import (
     COLOR_SIGMA,
     COLOR_WEIGHT,
+    EDGE_AWARE_SMOOTHNESS,
+    EVIDENCE_WEIGHT,
     MAX_COLOR_EVIDENCE,
-    MAX_FIT_PIXELS,
-    OF_EVIDENCE,
-    SMOOTHNESS,
+    MAX_EVIDENCE,
     correct,
     cut_out,
     list_excluded,
 )
-from flowsplat.priors.prompts.grabcut import BAND, snap_to_edges
+from flowsplat.priors.prompts.grabcut import EDGE_BAND, snap_to_edges
 from flowsplat.priors.prompts.parsing import Prompt
 from flowsplat.scenes import Scene
 
 MIN_FLOW_CONFIDENCE = 0.3
-"""Mean confidence of the flow below which a carried part of a mask is dropped."""
+"""Mean confidence of the flow below which a carried part of a mask is dropped. Chosen by eye."""
 
 MAX_GRAY_DIFFERENCE = 30.0
-"""Gray levels beyond which a pixel is not the one that the flow says it was."""
+"""Gray levels beyond which a pixel is not the one that the flow says it was. Chosen by eye."""
 
 CARRIED_EVIDENCE = 2.0
-"""Evidence, a logarithm to base 2, that what was carried is the object; it falls to its negative within ``BAND`` of the edge."""
+"""Evidence, a logarithm to base 2, that what was carried is the object; it falls to its negative within ``EDGE_BAND`` of the
+edge. Chosen on tuned scenes and random worlds (docs/method.md, "Flow, masks and depth"; docs/results.md, Clicks and boxes)."""
 
 MAX_BANDS = 3.0
-"""Bands round what was carried within which the object may be."""
+"""Bands round what was carried within which the object may be. Chosen by eye."""
 
-ANOTHER, OTHER_EVIDENCE = 1.0, 1.0
-"""Evidence of motion that belongs to something else where it is not found to be the object, and bands from it beyond which."""
+OTHER_OBJECT_EVIDENCE, OTHER_OBJECT_BANDS = 1.0, 1.0
+"""Evidence of motion that belongs to something else where it is not found to be the object, and bands from it beyond which
+(docs/method.md, "Flow, masks and depth")."""
 
 
 @dataclass
@@ -147,7 +149,7 @@ class Walk:
         if doubted is not None:
             # What moves beside the object now is not a part of it later.
             away = cv2.distanceTransform((~found).astype(np.uint8), cv2.DIST_L2, 5)
-            doubted |= (evidence > ANOTHER) & (away > OTHER_EVIDENCE * _band(found))
+            doubted |= (evidence > OTHER_OBJECT_EVIDENCE) & (away > OTHER_OBJECT_BANDS * _band(found))
         return MaskPart(found, _mean(back.confidence, moved), doubted)
 
     def _outline(self, image: np.ndarray, moved: np.ndarray, evidence: np.ndarray, doubted: np.ndarray | None) -> np.ndarray:
@@ -155,22 +157,22 @@ class Walk:
         inner = cv2.distanceTransform(moved.astype(np.uint8), cv2.DIST_L2, 5)
         outer = cv2.distanceTransform((~moved).astype(np.uint8), cv2.DIST_L2, 5)
         held = np.float32(CARRIED_EVIDENCE) * np.clip((inner - outer) / band, -1, 1)
-        moves = np.clip(OF_EVIDENCE * evidence, 0 if self._rests else -MAX_FIT_PIXELS, MAX_FIT_PIXELS)
+        moves = np.clip(EVIDENCE_WEIGHT * evidence, 0 if self._rests else -MAX_EVIDENCE, MAX_EVIDENCE)
         if doubted is not None:
             moves = np.where(doubted, 0, moves)
         total = held + moves
         if self._table is not None:
             total = total + look_up(self._table, image)
-        total = np.where(outer > MAX_BANDS * band, -MAX_FIT_PIXELS, total).astype(np.float32)
-        found = EdgeSmoother(image, SMOOTHNESS, COLOR_SIGMA).filter(total) > 0
+        total = np.where(outer > MAX_BANDS * band, -MAX_EVIDENCE, total).astype(np.float32)
+        found = EdgeSmoother(image, EDGE_AWARE_SMOOTHNESS, COLOR_SIGMA).filter(total) > 0
         _, labels = cv2.connectedComponents(found.astype(np.uint8))
         kept = np.isin(labels, np.unique(labels[found & moved])) & found
         return kept if kept.any() else moved
 
 
 def _band(mask: np.ndarray) -> float:
-    """``BAND`` in pixels."""
-    return max(2.0, BAND * max(mask.shape))
+    """``EDGE_BAND`` in pixels."""
+    return max(2.0, EDGE_BAND * max(mask.shape))
 
 
 def _mean(confidence: np.ndarray, mask: np.ndarray) -> float:

@@ -20,7 +20,7 @@ from flowsplat.priors.prompts.propagation import MaskPart, Walk
 from flowsplat.scenes import Scene
 
 SAME_OBJECT_OVERLAP = 0.5
-"""Share of the smaller one by which two masks overlap if they show one object."""
+"""Share of the smaller one by which two masks overlap if they show one object. Chosen by eye."""
 
 
 def prompt_stage(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimator = dis_estimator) -> None:

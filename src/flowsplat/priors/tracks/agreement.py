@@ -9,14 +9,16 @@ from scipy.spatial import cKDTree
 from flowsplat.common.kernels import kernel
 from flowsplat.common.threads import parallel_for
 
-NEIGHBORS = 12
+NEIGHBOR_TRACKS = 12
+"""Nearest tracks whose motion a track is compared with. Chosen by eye."""
 MIN_NEIGHBORS = 4
-"""Neighbors without which nothing is said."""
+"""Neighbors without which nothing is said. Chosen by eye."""
 REWEIGHTINGS = 4
-STIFFNESS = np.float32(0.05)
-"""Weight against differences between neighbors, beside the sum of their own weights."""
-SMALLEST_SPREAD = np.float32(0.15)
-"""Pixels."""
+"""Rounds of reweighting of the neighbors' motion. Chosen by eye."""
+NEIGHBOR_STIFFNESS = np.float32(0.05)
+"""Weight against differences between neighbors, beside the sum of their own weights. Chosen by eye."""
+MIN_SPREAD = np.float32(0.15)
+"""Pixels. Chosen by eye."""
 
 
 def compute_agreed_motion(
@@ -46,7 +48,7 @@ def compute_agreed_motion(
         if len(sources) < MIN_NEIGHBORS:
             continue
         # One more than needed: a source finds itself first.
-        count = min(NEIGHBORS + 1, len(sources))
+        count = min(NEIGHBOR_TRACKS + 1, len(sources))
         _, found = cKDTree(points[sources]).query(points[here], k=count, distance_upper_bound=reach)
         index = np.append(sources, -1)[found.reshape(len(here), count)]
         parallel_for(_fit, len(here), here, index, *arrays, float32(reach), motion, gradient, spread)
@@ -72,12 +74,12 @@ def _fit(begin, end, here, index, points, motions, weights, reach, motion, gradi
         for k in range(count):
             m = chosen[k]
             rest[k] = np.sqrt((motions[m, 0] - median_x) ** 2 + (motions[m, 1] - median_y) ** 2)
-        scale = max(float32(np.median(rest)), SMALLEST_SPREAD)
+        scale = max(float32(np.median(rest)), MIN_SPREAD)
         for k in range(count):
             factor[k] = one / (one + (rest[k] / (float32(1.5) * scale)) ** 2)
         for _ in range(REWEIGHTINGS):
             H[:], b[:] = float32(0), float32(0)
-            H[0, 0], H[1, 1], H[2, 2] = float32(1e-6), STIFFNESS, STIFFNESS
+            H[0, 0], H[1, 1], H[2, 2] = float32(1e-6), NEIGHBOR_STIFFNESS, NEIGHBOR_STIFFNESS
             for k in range(count):
                 m = chosen[k]
                 w = weights[m] * factor[k]
@@ -108,7 +110,7 @@ def _fit(begin, end, here, index, points, motions, weights, reach, motion, gradi
                 dx = motions[m, 0] - b[0, 0] - x * b[1, 0] - y * b[2, 0]
                 dy = motions[m, 1] - b[0, 1] - x * b[1, 1] - y * b[2, 1]
                 rest[k] = np.sqrt(dx * dx + dy * dy)
-            scale = max(float32(np.median(rest)), SMALLEST_SPREAD)
+            scale = max(float32(np.median(rest)), MIN_SPREAD)
             for k in range(count):
                 factor[k] = one / (one + (rest[k] / (float32(1.5) * scale)) ** 2)
         motion[n] = b[0]

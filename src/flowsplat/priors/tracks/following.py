@@ -16,34 +16,34 @@ from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.tracks.agreement import compute_agreed_motion
 from flowsplat.priors.tracks.patches import Patches, align
 from flowsplat.scenes import Flow
-from flowsplat.scenes.layers import TRUSTED
+from flowsplat.scenes.layers import TRUSTED_CONFIDENCE
 
 MIN_SIMILARITY = 0.6
-"""Likeness (structural similarity) to its patch from which a point counts as found."""
-PENALTY = 0.1
-"""Of likeness for every pixel from where the neighbors lead, and for every pixel by which they disagree."""
+"""Likeness (structural similarity) to its patch from which a point counts as found. Chosen by eye."""
+SIMILARITY_PENALTY = 0.1
+"""Of likeness for every pixel from where the neighbors lead, and for every pixel by which they disagree. Chosen by eye."""
 RENEW_SIMILARITY = 0.75
-"""Likeness below which a patch is taken anew."""
-STILL_LIKE = 0.6
-"""Likeness to the patch before it from which a faded one is taken anew."""
-SLIP = 0.2
-"""Pixels that a point may slip then, beside half of what speaks against it."""
-TRUST, DRIFT = 0.55, 1.0
-"""Likeness less penalties from which, and pixels of slipping up to which, a point that was found counts as seen."""
+"""Likeness below which a patch is taken anew. Chosen by eye."""
+MIN_RENEW_SIMILARITY = 0.6
+"""Likeness to the patch before it from which a faded one is taken anew. Chosen by eye."""
+MAX_RENEW_SLIP = 0.2
+"""Pixels that a point may slip then, beside half of what speaks against it. Chosen by eye."""
+MIN_SEEN_SIMILARITY, MAX_SEEN_SLIP = 0.55, 1.0
+"""Likeness less penalties from which, and pixels of slipping up to which, a point that was found counts as seen. Chosen by eye."""
 FLOW_ADVANTAGE = 0.15
-"""Likeness by which the place that the flow leads to must beat the one that the velocity leads to."""
-CLEAR = 0.85
-"""Likeness from which the flow is not asked at all."""
-ALLOWED = 1.0
-"""Pixels from its neighbors' motion, beside twice their spread, from which a point is taken back to them."""
-LONGEST_GAP = 12
-"""Frames after which a point that was not seen is given up."""
-NEIGHBOR_REACH, SHORTEST_REACH = 0.07, 32.0
-"""Share of the image's diagonal, and pixels at least, within which neighbors are asked."""
-ELDER = 2
-"""Frames from which a point has a velocity."""
+"""Likeness by which the place that the flow leads to must beat the one that the velocity leads to. Chosen by eye."""
+CLEAR_SIMILARITY = 0.85
+"""Likeness from which the flow is not asked at all. Chosen by eye."""
+MAX_NEIGHBOR_DIFFERENCE = 1.0
+"""Pixels from its neighbors' motion, beside twice their spread, from which a point is taken back to them. Chosen by eye."""
+MAX_GAP = 12
+"""Frames after which a point that was not seen is given up. Chosen by eye."""
+NEIGHBOR_REACH, MIN_NEIGHBOR_REACH = 0.07, 32.0
+"""Share of the image's diagonal, and pixels at least, within which neighbors are asked. Chosen by eye."""
+MIN_VELOCITY_FRAMES = 2
+"""Frames from which a point has a velocity. Chosen by eye."""
 OUTSIDE_PIXELS = 20
-"""Pixels that an unseen point may be outside the image."""
+"""Pixels that an unseen point may be outside the image. Chosen by eye."""
 
 
 @dataclass
@@ -96,12 +96,14 @@ class Follower:
     def seen(self) -> np.ndarray:
         """[N] bool: whether each was found in the last image; the others are only supposed to be there."""
         living = self._living
-        return (living.missed == 0) & (living.trust >= TRUST) & (living.drift <= DRIFT)
+        return (living.missed == 0) & (living.trust >= MIN_SEEN_SIMILARITY) & (living.drift <= MAX_SEEN_SLIP)
 
     @property
     def confidence(self) -> np.ndarray:
         """[N] between one half and 1 where seen, else 0."""
-        return np.where(self.seen, 0.5 + 0.5 * np.clip((self._living.trust - TRUST) / (1 - TRUST), 0, 1), 0).astype(np.float32)
+        return np.where(
+            self.seen, 0.5 + 0.5 * np.clip((self._living.trust - MIN_SEEN_SIMILARITY) / (1 - MIN_SEEN_SIMILARITY), 0, 1), 0
+        ).astype(np.float32)
 
     def keep(self, rows: np.ndarray) -> None:
         """Give up all points but these."""
@@ -137,10 +139,10 @@ class Follower:
         if self._patches is None or len(self.ids) == 0:
             return
         living, pixels = self._living, image.astype(np.float32)
-        reach = max(SHORTEST_REACH, NEIGHBOR_REACH * float(np.hypot(*image.shape)))
+        reach = max(MIN_NEIGHBOR_REACH, NEIGHBOR_REACH * float(np.hypot(*image.shape)))
         places, shapes, likeness, led = self._first_guess(pixels, flow, pace, reach)
-        elders = living.ages >= ELDER
-        believed = (likeness >= MIN_SIMILARITY) & (elders | (led >= TRUSTED))
+        elders = living.ages >= MIN_VELOCITY_FRAMES
+        believed = (likeness >= MIN_SIMILARITY) & (elders | (led >= TRUSTED_CONFIDENCE))
         weight = (
             np.clip(living.ages, 0.25, 4) * (likeness - MIN_SIMILARITY + 0.05) * np.where(living.missed == 0, 1, 0.3) * believed
         )
@@ -148,12 +150,12 @@ class Follower:
         asked = np.isfinite(spread)
         away = np.where(asked, np.linalg.norm(places - living.places - motion, axis=1), 0)
         spread = np.where(asked, np.minimum(spread, 5), 0)
-        stray = np.flatnonzero(asked & ((away > ALLOWED + 2 * spread) | (likeness < MIN_SIMILARITY)))
+        stray = np.flatnonzero(asked & ((away > MAX_NEIGHBOR_DIFFERENCE + 2 * spread) | (likeness < MIN_SIMILARITY)))
         expected = living.places[stray] + motion[stray]
         turned = ((np.eye(2, dtype=np.float32) + gradient[stray]) @ living.shapes[stray]).astype(np.float32)
         found, shape, like = align(self._patches[stray], pixels, expected, turned)
         off = np.linalg.norm(found - expected, axis=1)
-        back = (like >= MIN_SIMILARITY) & (off <= ALLOWED + 2 * spread[stray])
+        back = (like >= MIN_SIMILARITY) & (off <= MAX_NEIGHBOR_DIFFERENCE + 2 * spread[stray])
         places[stray] = np.where(back[:, None], found, expected)
         shapes[stray] = np.where(back[:, None, None], shape, turned)
         likeness[stray], away[stray] = np.where(back, like, 0), off
@@ -169,19 +171,19 @@ class Follower:
         assert self._patches is not None
         by_flow = living.places + sample_map(flow.flow, self.points)
         led = sample_map(flow.confidence, self.points)[:, 0]
-        elders = living.ages >= ELDER
+        elders = living.ages >= MIN_VELOCITY_FRAMES
         moves = living.moves * np.float32(pace)
         weight = np.where(elders & (living.missed == 0), np.clip(living.trust - MIN_SIMILARITY, 0.01, 1), 0)
         motion, gradient, spread = compute_agreed_motion(living.places, moves, weight, living.labels, reach)
         expected = living.places + np.where(elders[:, None], moves, by_flow - living.places)
         # Where the flow of a young point contradicts its elders, it goes with them; and so does who was not seen.
         away = np.linalg.norm(by_flow - living.places - motion, axis=1)
-        misled = ~elders & ((led < TRUSTED) | (away > 2 + 2 * spread)) | (living.missed > 0)
+        misled = ~elders & ((led < TRUSTED_CONFIDENCE) | (away > 2 + 2 * spread)) | (living.missed > 0)
         misled &= np.isfinite(spread)
         expected[misled] = (living.places + motion)[misled]
         turned = ((np.eye(2, dtype=np.float32) + gradient) @ living.shapes).astype(np.float32)
         places, shapes, likeness = align(self._patches, image, expected, turned)
-        doubted = np.flatnonzero(elders & (likeness < CLEAR) & (led >= TRUSTED))
+        doubted = np.flatnonzero(elders & (likeness < CLEAR_SIMILARITY) & (led >= TRUSTED_CONFIDENCE))
         other, shape, like = align(self._patches[doubted], image, by_flow[doubted], turned[doubted])
         better = like > likeness[doubted] + FLOW_ADVANTAGE
         chosen = doubted[better]
@@ -198,14 +200,14 @@ class Follower:
         inside = (places >= -0.5).all(1) & (places[:, 0] <= width - 0.5) & (places[:, 1] <= height - 0.5)
         upright = np.linalg.det(shapes) > 0.15
         found = (likeness >= MIN_SIMILARITY) & inside & upright
-        trust = likeness - PENALTY * doubt
+        trust = likeness - SIMILARITY_PENALTY * doubt
         living.moves, living.places, living.shapes = (places - living.places).astype(np.float32), places, shapes
         living.ages, living.missed, living.trust = living.ages + 1, np.where(found, 0, living.missed + 1), trust.astype(np.float32)
         self._renew(np.flatnonzero(found & (likeness < RENEW_SIMILARITY)), image, labels, doubt)
         near = (
             (places > -OUTSIDE_PIXELS).all(1) & (places[:, 0] < width + OUTSIDE_PIXELS) & (places[:, 1] < height + OUTSIDE_PIXELS)
         )
-        self.keep(np.flatnonzero(near & (found | ((asked | (living.ages > ELDER)) & (living.missed <= LONGEST_GAP)))))
+        self.keep(np.flatnonzero(near & (found | ((asked | (living.ages > MIN_VELOCITY_FRAMES)) & (living.missed <= MAX_GAP)))))
 
     def _renew(self, rows: np.ndarray, image: np.ndarray, labels: np.ndarray, doubt: np.ndarray) -> None:
         """Take faded patches anew where the ones before them are still there, too; else something else is before the point."""
@@ -214,11 +216,13 @@ class Follower:
         assert self._older is not None
         turned = (living.shapes[rows] @ living.older_shapes[rows]).astype(np.float32)
         places, _, likeness = align(self._older[rows], image, living.places[rows], turned)
-        there = (likeness >= STILL_LIKE) & (np.linalg.norm(places - living.places[rows], axis=1) <= ALLOWED + SLIP)
+        there = (likeness >= MIN_RENEW_SIMILARITY) & (
+            np.linalg.norm(places - living.places[rows], axis=1) <= MAX_NEIGHBOR_DIFFERENCE + MAX_RENEW_SLIP
+        )
         rows, places = rows[there], places[there]
         living.moves[rows] += places - living.places[rows]
         living.places[rows], living.older_shapes[rows] = places, living.shapes[rows]
         self._older.replace(rows, self._patches[rows])
         self._patches.replace(rows, Patches.cut(image, labels, places))
         living.shapes[rows] = np.eye(2, dtype=np.float32)
-        living.drift[rows] += SLIP + 0.5 * doubt[rows]
+        living.drift[rows] += MAX_RENEW_SLIP + 0.5 * doubt[rows]

@@ -16,29 +16,31 @@ from numba import float32
 from flowsplat.common.kernels import helper, inline, kernel
 from flowsplat.common.threads import parallel_for
 
-RADIUS = 6
-"""Pixels from the center of a patch to its border."""
-SIDE = 2 * RADIUS + 1
-ITERATIONS = 8
+PATCH_RADIUS = 6
+"""Pixels from the center of a patch to its border. Chosen by eye."""
+PATCH_SIDE = 2 * PATCH_RADIUS + 1
+"""Pixels across a patch."""
+ALIGNMENT_ITERATIONS = 8
+"""Gauss-Newton steps of an alignment. Chosen by eye."""
 MIN_STEP = np.float32(0.01)
-"""Pixels; a smaller step ends the search."""
+"""Pixels; a smaller step ends the search. Chosen by eye."""
 DAMPING = np.float32(2.0)
-"""Added to the mean square gradient (gray levels a pixel): noise."""
-STIFFNESS = np.float32(6.0)
-"""The same for the affine part, whose unit is a shift of the patch's border by a pixel."""
+"""Added to the mean square gradient (gray levels a pixel): noise. Chosen by eye."""
+AFFINE_STIFFNESS = np.float32(6.0)
+"""The same for the affine part, whose unit is a shift of the patch's border by a pixel. Chosen by eye."""
 MAX_SHIFT = np.float32(4.0)
-"""Pixels that an alignment may move a point: farther away is something similar, not the same."""
+"""Pixels that an alignment may move a point: farther away is something similar, not the same. Chosen by eye."""
 CONTRAST, BRIGHTNESS = np.float32(58.5), np.float32(58.5)
 """(0.03 x 255)^2, the constants of structural similarity: differences below them count as noise."""
 
-_ALONG = np.arange(-RADIUS, RADIUS + 1, dtype=np.float32)
+_ALONG = np.arange(-PATCH_RADIUS, PATCH_RADIUS + 1, dtype=np.float32)
 _OFFSETS = np.stack(np.meshgrid(_ALONG, _ALONG), -1).reshape(-1, 2)
-_WINDOW = np.exp(-0.5 * (_OFFSETS**2).sum(1) / (0.6 * RADIUS) ** 2).astype(np.float32)
+_WINDOW = np.exp(-0.5 * (_OFFSETS**2).sum(1) / (0.6 * PATCH_RADIUS) ** 2).astype(np.float32)
 
 
 @dataclass
 class Patches:
-    """Textures [N, SIDE^2] with their gradients along x and y, and the weights (sum 1) of their pixels; all float32."""
+    """Textures [N, PATCH_SIDE^2] with their gradients along x and y, and the weights (sum 1) of their pixels; all float32."""
 
     gray: np.ndarray
     right: np.ndarray
@@ -49,7 +51,7 @@ class Patches:
     def cut(image: np.ndarray, labels: np.ndarray, points: np.ndarray) -> Patches:
         """Patches of float32 gray [H, W] round ``points`` [N, 2]; pixels of another label [H, W] than the center do not count."""
         count = len(points)
-        arrays = [np.empty((count, SIDE * SIDE), np.float32) for _ in range(4)]
+        arrays = [np.empty((count, PATCH_SIDE * PATCH_SIDE), np.float32) for _ in range(4)]
         parallel_for(_cut, len(points), image, labels.astype(np.int32, copy=False), np.asarray(points, np.float32), *arrays)
         return Patches(*arrays)
 
@@ -140,7 +142,7 @@ def _solve(H, b):
 def _align(begin, end, gray, right, down, weights, image, points, shapes, likeness):
     height, width = image.shape
     pixels = len(_OFFSETS)
-    unit = float32(1.0 / RADIUS)
+    unit = float32(1.0 / PATCH_RADIUS)
     for n in range(begin, end):
         mean, variance = float32(0), float32(0)
         for k in range(pixels):
@@ -159,15 +161,15 @@ def _align(begin, end, gray, right, down, weights, image, points, shapes, likene
         for i in range(6):
             for j in range(i):
                 H0[i, j] = H0[j, i]
-            H0[i, i] += DAMPING if i < 2 else STIFFNESS
+            H0[i, i] += DAMPING if i < 2 else AFFINE_STIFFNESS
         x0, y0 = points[n, 0], points[n, 1]
         values = np.empty(pixels, np.float32)
         best = float32(-1)
         x, y = x0, y0
         a, b, c, d = shapes[n, 0, 0], shapes[n, 0, 1], shapes[n, 1, 0], shapes[n, 1, 1]
-        for iteration in range(ITERATIONS + 1):
+        for iteration in range(ALIGNMENT_ITERATIONS + 1):
             now, spread, both = float32(0), float32(0), float32(0)
-            across, along = RADIUS * (abs(a) + abs(b)), RADIUS * (abs(c) + abs(d))
+            across, along = PATCH_RADIUS * (abs(a) + abs(b)), PATCH_RADIUS * (abs(c) + abs(d))
             if x >= across and y >= along and x + across < width - 1 and y + along < height - 1:
                 for k in range(pixels):
                     u, v = _OFFSETS[k, 0], _OFFSETS[k, 1]
@@ -188,7 +190,7 @@ def _align(begin, end, gray, right, down, weights, image, points, shapes, likene
                 best = alike
                 points[n, 0], points[n, 1] = x, y
                 shapes[n, 0, 0], shapes[n, 0, 1], shapes[n, 1, 0], shapes[n, 1, 1] = a, b, c, d
-            if iteration == ITERATIONS:
+            if iteration == ALIGNMENT_ITERATIONS:
                 break
             gain = math.sqrt((variance + CONTRAST) / (spread + CONTRAST))
             step = np.zeros(6, np.float32)

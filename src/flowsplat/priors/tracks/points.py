@@ -7,10 +7,11 @@ import numpy as np
 
 SUBPIXEL_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.005)
 """At most 20 steps, until one is below 0.005 pixel."""
-ROUND_TRIP = 0.5
-"""Pixels by which a point may miss its start after going there and back."""
-BLUR, MUTED = 3.0, 0.7
-"""Pixels across which an image is blurred for what is larger than detail, and the share of that which is taken away."""
+MAX_ROUND_TRIP_ERROR = 0.5
+"""Pixels by which a point may miss its start after going there and back. Chosen by eye."""
+DETAIL_SIGMA, COARSE_DAMPING = 3.0, 0.7
+"""Pixels across which an image is blurred for what is larger than detail, and the share of that which is taken away.
+Chosen by eye."""
 
 
 def detail(image: np.ndarray) -> np.ndarray:
@@ -18,8 +19,8 @@ def detail(image: np.ndarray) -> np.ndarray:
 
     Light and shade stay where they are while a surface turns under them, and would hold its texture back.
     """
-    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), BLUR)
-    return image - np.float32(MUTED) * (smooth - np.float32(128))
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), DETAIL_SIGMA)
+    return image - np.float32(COARSE_DAMPING) * (smooth - np.float32(128))
 
 
 def refine_points(
@@ -52,7 +53,7 @@ def refine_points(
     back, returned = move(b, a, found, start)
     height, width = b.shape
     position = found[:, 0]
-    ok = there & returned & (np.linalg.norm((back - start)[:, 0], axis=1) < ROUND_TRIP)
+    ok = there & returned & (np.linalg.norm((back - start)[:, 0], axis=1) < MAX_ROUND_TRIP_ERROR)
     ok &= np.linalg.norm(position - ahead[:, 0], axis=1) < 4
     ok &= (position > 1).all(1) & (position[:, 0] < width - 2) & (position[:, 1] < height - 2)
     return position + np.float32(0.5), ok

@@ -16,21 +16,23 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.continuity import Continuity
 from flowsplat.scenes import Scene
 
-AGREES = 1.5
-"""Pixels from the path of a resting point up to which it was found there, and within which depth leads back to its birth."""
+MAX_PATH_ERROR = 1.5
+"""Pixels from the path of a resting point up to which it was found there, and within which depth leads back to its birth.
+Chosen by eye."""
 MIN_ON_PATH = 2
-"""Frames in which a point must have been found on its path,"""
+"""Frames in which a resting point must have been found on its path. Chosen by eye."""
 MIN_ON_PATH_SHARE = 0.6
-"""and their share of those in which it was found at all."""
-DEPTH_ERROR, LARGEST_ERROR = 0.03, 0.15
-"""Relative error of the inverse depth to be expected, and that from which a point is not what its pixel shows."""
-WIDTH = 0.5
-"""Pixels: a sample that is this far off the path has half its weight (Cauchy)."""
-CREDIBLE = 0.5
-"""Share of the background's points that must rest; with fewer it is the cameras that are not believed."""
-SUPPOSED = 0.6
-"""Confidence of a point that was not found where it must be seen."""
-_ROUNDS = 10
+"""The same as a share of the frames in which it was found at all. Chosen by eye."""
+DEPTH_ERROR, MAX_DEPTH_ERROR = 0.03, 0.15
+"""Relative error of the inverse depth to be expected, and that from which a point is not what its pixel shows. Chosen by eye."""
+RESIDUAL_SCALE = 0.5
+"""Pixels: a sample that is this far off the path has half its weight (Cauchy). Chosen by eye."""
+MIN_RESTING_POINTS = 0.5
+"""Share of the background's points that must rest; with fewer it is the cameras that are not believed. Chosen by eye."""
+SUPPOSED_CONFIDENCE = 0.6
+"""Confidence of a point that was not found where it must be seen. Chosen by eye."""
+_REWEIGHTING_ROUNDS = 10
+"""Rounds of reweighting of a resting point's path. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -88,10 +90,10 @@ def complete_resting(scene: Scene, points: np.ndarray, confidence: np.ndarray, b
     rests = (
         (counts >= MIN_ON_PATH)
         & (counts >= MIN_ON_PATH_SHARE * found.sum(1))
-        & (np.abs(np.log(fitted / inverse[rows])) <= LARGEST_ERROR)
+        & (np.abs(np.log(fitted / inverse[rows])) <= MAX_DEPTH_ERROR)
     )
     lasting = found.sum(1) >= MIN_ON_PATH
-    if rests.sum() <= CREDIBLE * lasting.sum():
+    if rests.sum() <= MIN_RESTING_POINTS * lasting.sum():
         return points, confidence
     points, confidence = points.copy(), confidence.copy()
     sure = confidence[rows, first]
@@ -119,17 +121,17 @@ def _fit(
     seen, count = points[rows, frames], len(inverse)
     stiffness = 1 / (DEPTH_ERROR * inverse) ** 2
     fitted = inverse.copy()
-    for _ in range(_ROUNDS):
+    for _ in range(_REWEIGHTING_ROUNDS):
         place, change = rays.project(cameras, frames, rows, fitted[rows])
         off = np.nan_to_num(place - seen, nan=1e6)
-        weight = 1 / (1 + (off**2).sum(1) / WIDTH**2)
+        weight = 1 / (1 + (off**2).sum(1) / RESIDUAL_SCALE**2)
         change = np.nan_to_num(change)
         slope = np.bincount(rows, weight * (change * off).sum(1), count) + stiffness * (fitted - inverse)
         curvature = np.bincount(rows, weight * (change**2).sum(1), count) + stiffness
         fitted = np.clip(fitted - slope / curvature, inverse / 2, inverse * 2)
     agrees = np.zeros(found.shape, bool)
     place, _ = rays.project(cameras, frames, rows, fitted[rows])
-    agrees[rows, frames] = np.linalg.norm(place - seen, axis=1) < AGREES
+    agrees[rows, frames] = np.linalg.norm(place - seen, axis=1) < MAX_PATH_ERROR
     return fitted, agrees
 
 
@@ -155,5 +157,5 @@ def _fill(
         for j in np.unique(first[lost]):
             there = first[lost] == j
             back[there] = cameras[j].project(world[there])[0]
-        seen = (scene.mask(i)[y, x] == 0) & (np.linalg.norm(back - born[lost], axis=1) < AGREES)
-        points[rows[lost[seen]], i], confidence[rows[lost[seen]], i] = pixels[seen], SUPPOSED
+        seen = (scene.mask(i)[y, x] == 0) & (np.linalg.norm(back - born[lost], axis=1) < MAX_PATH_ERROR)
+        points[rows[lost[seen]], i], confidence[rows[lost[seen]], i] = pixels[seen], SUPPOSED_CONFIDENCE

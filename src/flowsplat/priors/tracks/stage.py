@@ -16,10 +16,11 @@ from flowsplat.priors.tracks.resting import complete_resting
 from flowsplat.scenes import Scene, Tracks
 
 BACKGROUND_POINTS = 700
+"""About how many points are followed at a time in an image. Chosen by eye."""
 OBJECT_POINTS = 1500
-"""About how many points are followed at a time in an image, and on all its objects."""
+"""About how many points are followed at a time in an image, and on all its objects. Chosen by eye."""
 MIN_TRACK_FRAMES = 3
-"""Frames that a kept track was seen in."""
+"""Frames that a kept track was seen in. Chosen by eye."""
 
 Start = Callable[[int, np.ndarray, np.ndarray, Follower], None]
 """Given a training frame, its gray image, its labels and the follower: adds the points that start there."""

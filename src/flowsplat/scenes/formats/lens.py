@@ -10,8 +10,8 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 
-MOST_DISTORTION = 1.0
-"""Pixels by which a lens may move a point of the image's border and still count as a pinhole."""
+MAX_DISTORTION = 1.0
+"""Pixels by which a lens may move a point of the image's border and still count as a pinhole. Chosen by eye."""
 
 
 def require_pinhole(where: Path | str, K: np.ndarray, width: int, height: int, distortion: Sequence[float]) -> None:
@@ -23,7 +23,7 @@ def require_pinhole(where: Path | str, K: np.ndarray, width: int, height: int, d
         distortion: k1, k2, p1, p2, k3, ... as OpenCV orders them.
 
     Raises:
-        InputError: it moves points of the border by more than ``MOST_DISTORTION`` pixels.
+        InputError: it moves points of the border by more than ``MAX_DISTORTION`` pixels.
     """
     if not any(distortion):
         return
@@ -33,7 +33,7 @@ def require_pinhole(where: Path | str, K: np.ndarray, width: int, height: int, d
     rays = np.concatenate([(border - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones((len(border), 1))], 1)
     moved, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K, np.asarray(distortion, np.float64))
     error = float(np.linalg.norm(moved[:, 0] - border, axis=1).max())
-    if not error <= MOST_DISTORTION:  # so that NaN is refused, too
+    if not error <= MAX_DISTORTION:  # so that NaN is refused, too
         raise InputError(
             f"{where} describes a lens that bends the image by {error:.1f} pixels: undistort the images first "
             "(colmap image_undistorter), and give the cameras of the undistorted ones."

@@ -18,10 +18,10 @@ from flowsplat.common.errors import InputError
 from flowsplat.scenes.clip import resize_labels
 from flowsplat.scenes.layers import decode_image
 
-MOST_OBJECTS = 32
-"""Colors above which they are taken for shades of one object."""
+MAX_OBJECTS = 32
+"""Colors above which they are taken for shades of one object. Chosen by eye."""
 JPEG_BLACK = 127
-"""Up to this value a pixel of a JPEG mask is background: compression smears its edges."""
+"""Up to this value a pixel of a JPEG mask is background: compression smears its edges. Chosen by eye."""
 
 
 def read_labels(path: Path) -> np.ndarray:
@@ -70,9 +70,9 @@ class GivenMasks:
                     f"{path} is {labels.shape[1]}x{labels.shape[0]} pixels, but its image is {size[0]}x{size[1]}: "
                     "masks must have the size of their images."
                 )
-            if len(colors) <= MOST_OBJECTS:
+            if len(colors) <= MAX_OBJECTS:
                 colors = np.union1d(colors, labels[labels > 0])
-        return GivenMasks(paths, colors if len(colors) <= MOST_OBJECTS else None)
+        return GivenMasks(paths, colors if len(colors) <= MAX_OBJECTS else None)
 
     def read(self, name: str, size: tuple[int, int]) -> np.ndarray:
         """Return [H, W] uint8 object numbers at ``size`` (width, height), 0 = background."""

@@ -28,6 +28,7 @@ from flowsplat.scenes.formats.posed import PosedClip, PosedImage, PosedView, ope
 POSES = "poses_bounds.npy"
 RAW_IMAGES, RAW_MASKS = "mv_images", "mv_masks"
 CAMERAS = 12
+"""Cameras of the rig of Yoon et al. 2020."""
 TARGET = "v000_t*.png"
 
 

@@ -24,8 +24,8 @@ from flowsplat.scenes.formats.images import read_input_image
 from flowsplat.scenes.formats.masks import read_labels
 from flowsplat.scenes.scene import HeldoutView
 
-SAME_SHAPE = 0.01
-"""Relative difference up to which an image has the shape that its camera was calibrated with."""
+SHAPE_TOLERANCE = 0.01
+"""Relative difference up to which an image has the shape that its camera was calibrated with. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def read_posed(posed: PosedImage) -> np.ndarray:
     """
     image, camera = read_input_image(posed.path), posed.camera
     height, width = image.shape[:2]
-    if abs(width * camera.height / (height * camera.width) - 1) > SAME_SHAPE:
+    if abs(width * camera.height / (height * camera.width) - 1) > SHAPE_TOLERANCE:
         raise InputError(f"{posed.path} is {width}x{height} pixels, its camera {camera.width}x{camera.height}: another shape.")
     return image
 

@@ -27,7 +27,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import plain_name, read_json, read_npz
 from flowsplat.common.files.arrays import MAX_ARRAY_BYTES
 from flowsplat.geometry import Camera
-from flowsplat.scenes.clip import FEWEST_FPS, MOST_FPS, InputOptions, resize_labels
+from flowsplat.scenes.clip import MAX_FPS, MIN_FPS, InputOptions, resize_labels
 from flowsplat.scenes.formats.images import list_images
 from flowsplat.scenes.formats.masks import read_labels
 from flowsplat.scenes.formats.posed import PosedClip, PosedImage, PosedView, open_posed
@@ -151,9 +151,9 @@ def _rate(path: Path, value: Any) -> float:
     Raises:
         InputError: it is none.
     """
-    if isinstance(value, int | float) and FEWEST_FPS <= value <= MOST_FPS:
+    if isinstance(value, int | float) and MIN_FPS <= value <= MAX_FPS:
         return float(value)
-    raise InputError(f"{path}: fps is {value!r:.60}, it must be a number from {FEWEST_FPS:g} to {MOST_FPS:g}.")
+    raise InputError(f"{path}: fps is {value!r:.60}, it must be a number from {MIN_FPS:g} to {MAX_FPS:g}.")
 
 
 def open_rig(folder: Path, options: InputOptions) -> PosedClip:

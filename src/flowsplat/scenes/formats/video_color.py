@@ -3,7 +3,8 @@
 The numbers of matrices, transfers and primaries are those of ITU-T H.273, which FFmpeg uses as they are. Ordinary video (BT.601
 and BT.709, any bit depth) keeps its code values, as every player shows it. High dynamic range (PQ and HLG, ITU-R BT.2100)
 becomes light relative to reference white at 203 cd/m2 (ITU-R BT.2408), is brought to BT.709 primaries, softly clipped above
-``KNEE`` of white, and encoded as sRGB. Wide gamut without high dynamic range (Display P3, BT.2020) only changes primaries.
+``HIGHLIGHT_KNEE`` of white, and encoded as sRGB. Wide gamut without high dynamic range (Display P3, BT.2020) only changes
+primaries.
 """
 
 from __future__ import annotations
@@ -17,11 +18,15 @@ import numpy as np
 from flowsplat.common.errors import InputError
 
 UNSPECIFIED = 2
+"""FFmpeg's number of a color space that is not told."""
 MATRICES = {1, 4, 5, 6, 7, 9}
 """What can be undone: BT.709, FCC, BT.601 (625 and 525 lines), SMPTE 240M, BT.2020."""
 BT601, BT709, BT2020 = 5, 1, 9
+"""FFmpeg's numbers of the color spaces (ITU-T H.273)."""
 LIMITED, FULL = 1, 2
+"""FFmpeg's numbers of the color ranges: limited (16 to 235) and full (0 to 255)."""
 PQ, HLG = 16, 18
+"""Numbers of the transfer functions of high dynamic range (ITU-T H.273)."""
 GAMUTS = {9: "BT.2020", 11: "DCI-P3", 12: "Display P3"}
 """Primaries that are wider than a screen's."""
 CHROMATICITIES = {
@@ -30,13 +35,14 @@ CHROMATICITIES = {
     11: ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060)),
     12: ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060)),
 }
-WHITE = (0.3127, 0.3290)
+WHITE_POINT = (0.3127, 0.3290)
+"""CIE x and y of D65."""
 REFERENCE_WHITE = 203.0
 """cd/m2 that become white."""
 HLG_PEAK = 1000.0
 """cd/m2 of the display that HLG is shown on, at which its system gamma is 1.2."""
-KNEE = 0.8
-"""Light relative to white above which highlights are compressed."""
+HIGHLIGHT_KNEE = 0.8
+"""Light relative to white above which highlights are compressed. Chosen by eye."""
 STANDARD_DEFINITION = 576
 """Lines up to which video without a tag is taken for BT.601."""
 
@@ -131,11 +137,11 @@ def to_srgb(codes: np.ndarray, colors: VideoColors) -> np.ndarray:
 
 
 def compress_highlights(light: np.ndarray) -> np.ndarray:
-    """Bring light [..., 3] of any strength to at most 1: unchanged up to ``KNEE``, smooth beyond, with its hue kept."""
+    """Bring light [..., 3] of any strength to at most 1: unchanged up to ``HIGHLIGHT_KNEE``, smooth beyond, with its hue kept."""
     peak = light.max(-1, keepdims=True)
-    room = 1 - KNEE
-    compressed = KNEE + room * (1 - np.exp(-(np.maximum(peak, KNEE) - KNEE) / room))
-    return np.where(peak > KNEE, light * (compressed / np.maximum(peak, KNEE)), light)
+    room = 1 - HIGHLIGHT_KNEE
+    compressed = HIGHLIGHT_KNEE + room * (1 - np.exp(-(np.maximum(peak, HIGHLIGHT_KNEE) - HIGHLIGHT_KNEE) / room))
+    return np.where(peak > HIGHLIGHT_KNEE, light * (compressed / np.maximum(peak, HIGHLIGHT_KNEE)), light)
 
 
 @cache
@@ -147,7 +153,7 @@ def gamut_matrix(primaries: int) -> np.ndarray:
 @cache
 def _rgb_to_xyz(primaries: int) -> np.ndarray:
     xyz = np.array([(x / y, 1, (1 - x - y) / y) for x, y in CHROMATICITIES[primaries]]).T
-    x, y = WHITE
+    x, y = WHITE_POINT
     return xyz * np.linalg.solve(xyz, [x / y, 1, (1 - x - y) / y])
 
 

@@ -16,8 +16,8 @@ from flowsplat.scenes.scene import HeldoutView
 VIEW_STEP = 4
 """Held-out views exist at every fourth time."""
 
-BASELINE = 0.06
-"""Held-out cameras stand this share of the scene's depth to the left and to the right, and turn in by as much."""
+HELD_OUT_BASELINE = 0.06
+"""Held-out cameras stand this share of the scene's depth to the left and to the right, and turn in by as much. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def views_aside(camera: Callable[[int], Camera], frames: int, depth: float) -> l
     views = []
     for i in range(0, frames, VIEW_STEP):
         own = camera(i)
-        for name, side in (("left", -BASELINE), ("right", BASELINE)):
+        for name, side in (("left", -HELD_OUT_BASELINE), ("right", HELD_OUT_BASELINE)):
             step = np.eye(4)
             step[0, 3] = -side * depth
             turn = np.eye(4)

@@ -15,10 +15,10 @@ from flowsplat.scenes.layers import Flow, Tracks
 from flowsplat.scenes.scene import HeldoutView
 
 TRACKS_PER_OBJECT = 100
-"""True tracks on each object; the static world gets twice as many."""
+"""True tracks on each object; the static world gets twice as many. Chosen by eye."""
 
-BIRTHS = 5
-"""Frames whose pixels become true tracks."""
+TRACK_BIRTH_FRAMES = 5
+"""Frames whose pixels become true tracks. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -116,10 +116,10 @@ class RayCastWorld(ABC):
         """Return world points over the whole clip, and the object of each [P], 0 = static.
 
         ``TRACKS_PER_OBJECT`` on each object, fewer where it hardly shows, and twice as many on the static world: random pixels of
-        ``BIRTHS`` frames, so that each is visible at least once.
+        ``TRACK_BIRTH_FRAMES`` frames, so that each is visible at least once.
         """
         rng = self.track_rng()
-        seen = [self.cast_pixels(self.camera(i), self.timestamps[i]) for i in spread(self.frames, BIRTHS)]
+        seen = [self.cast_pixels(self.camera(i), self.timestamps[i]) for i in spread(self.frames, TRACK_BIRTH_FRAMES)]
         part, local = np.concatenate([h.part for h in seen]), np.concatenate([h.local for h in seen])
         owners = self.numbers[part]
         chosen = []

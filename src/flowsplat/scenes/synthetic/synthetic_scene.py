@@ -18,8 +18,8 @@ from flowsplat.scenes.synthetic.ray_cast import Hits, RayCastWorld
 from flowsplat.scenes.synthetic.textures import Surface, in_chunks
 from flowsplat.scenes.synthetic.world import SCENE_DEPTH, build_world, camera_at
 
-SAMPLES = 2
-"""Color samples along each side of a pixel."""
+SAMPLES_PER_SIDE = 2
+"""Color samples along each side of a pixel. Chosen by eye."""
 
 LIGHT = np.array([-0.45, -0.65, 0.62])
 """Direction to the light, of length 1 within rounding."""
@@ -106,13 +106,13 @@ class SyntheticScene(RayCastWorld):
 
     def render(self, camera: Camera, time: float) -> DrawnView:
         """Return the world at ``time`` (seconds) from any camera inside the room."""
-        offsets = (np.arange(SAMPLES) - (SAMPLES - 1) / 2) / SAMPLES
+        offsets = (np.arange(SAMPLES_PER_SIDE) - (SAMPLES_PER_SIDE - 1) / 2) / SAMPLES_PER_SIDE
         grid = pixel_grid(camera.width, camera.height).astype(np.float64).reshape(-1, 2)
         color = np.zeros((len(grid), 3))
         for x in offsets:
             for y in offsets:
                 color += self._shade(camera, time, self.cast(camera, time, grid + [x, y]))
-        image = np.clip(color * (255 / SAMPLES**2) + 0.5, 0, 255).astype(np.uint8)
+        image = np.clip(color * (255 / SAMPLES_PER_SIDE**2) + 0.5, 0, 255).astype(np.uint8)
         return DrawnView(image.reshape(camera.height, camera.width, 3), *self.cast_rays(camera, time))
 
     def _shade(self, camera: Camera, time: float, hits: Hits) -> np.ndarray:

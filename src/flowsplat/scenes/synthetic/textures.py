@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-CHUNK = 8192
-"""Points that are textured at once: small enough for the temporaries to stay in the cache."""
+CHUNK_POINTS = 8192
+"""Points that are textured at once: small enough for the temporaries to stay in the cache. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,8 @@ class Waves:
 def in_chunks(material: Material, surface: Surface) -> np.ndarray:
     """``material(surface)``, a part at a time."""
     colors = np.empty_like(surface.points)
-    for start in range(0, len(colors), CHUNK):
-        colors[start : start + CHUNK] = material(surface.where(slice(start, start + CHUNK)))
+    for start in range(0, len(colors), CHUNK_POINTS):
+        colors[start : start + CHUNK_POINTS] = material(surface.where(slice(start, start + CHUNK_POINTS)))
     return colors
 
 

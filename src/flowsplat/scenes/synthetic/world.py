@@ -23,10 +23,10 @@ from flowsplat.scenes.synthetic.textures import (
 )
 
 SCENE_DEPTH = 5.0
-"""Meters from the camera to the middle of the scene, about."""
+"""Meters from the camera to the middle of the scene, about. Chosen by eye."""
 
-FOCAL = 0.75
-"""Focal length over the width of the image."""
+FOCAL_RATIO = 0.75
+"""Focal length over the width of the image. Chosen by eye."""
 
 OAK = [(0.25, 0.15, 0.09), (0.47, 0.30, 0.17), (0.66, 0.46, 0.28), (0.80, 0.62, 0.42)]
 CRATE = [(0.30, 0.20, 0.10), (0.62, 0.43, 0.20), (0.78, 0.60, 0.32), (0.90, 0.76, 0.50)]
@@ -42,7 +42,8 @@ JELLY = [(0.98, 0.52, 0.16), (0.86, 0.20, 0.46), (0.99, 0.80, 0.30), (0.52, 0.20
 SEA = [(0.05, 0.20, 0.38), (0.12, 0.48, 0.62), (0.62, 0.82, 0.80), (0.93, 0.90, 0.78)]
 SUNSET = [(0.10, 0.08, 0.28), (0.55, 0.16, 0.36), (0.94, 0.42, 0.22), (0.99, 0.84, 0.46)]
 FOREST = [(0.07, 0.16, 0.10), (0.20, 0.42, 0.16), (0.72, 0.72, 0.26), (0.96, 0.93, 0.70)]
-FRAME = (0.30, 0.19, 0.08)
+FRAME_COLOR = (0.30, 0.19, 0.08)
+"""Red, green and blue, 0 to 1, of what frames a canvas. Chosen by eye."""
 
 
 # -- motions
@@ -119,7 +120,7 @@ def room_material(rng: np.random.Generator) -> Material:
             edge = np.maximum(np.abs(x - center_x) - half_width, np.abs(z - center_z) - half_height)
             near = edge < 0.3
             part = surface.where(near)
-            framed = blend(np.array([FRAME]), canvas(part), inside(edge[near] + 0.09, part.footprint))
+            framed = blend(np.array([FRAME_COLOR]), canvas(part), inside(edge[near] + 0.09, part.footprint))
             result[near] = blend(result[near], framed, inside(edge[near], part.footprint))
         return result
 
@@ -174,6 +175,6 @@ def camera_at(time: float, width: int, height: int) -> Camera:
     right = np.cross(forward, [0, 0, 1])
     right /= np.linalg.norm(right)
     R = np.stack([right, np.cross(forward, right), forward])
-    focal = FOCAL * width
+    focal = FOCAL_RATIO * width
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
     return Camera(rigid(R, -R @ position), K, width, height)

@@ -50,7 +50,9 @@ STEP = np.float32(BLOCK_HEIGHT)
 LIMIT = np.float32(ALPHA_MAX)
 STOP = np.float32(TRANSMITTANCE_MIN)
 CHECK_EVERY = 32
-ABSOLUTE = 2  # more sums for an instance where absolute gradients are asked for
+"""Gaussians after which a block looks whether all its pixels have stopped. Chosen by eye."""
+ABSOLUTE = 2
+"""More sums for an instance where absolute gradients are asked for."""
 
 
 # Coefficients of 2^x on [-1, 0], nearly minimax in relative error (least squares, reweighted until the errors were alike).

@@ -15,10 +15,13 @@ from flowsplat.splatting.cpu import projection as kernels
 from flowsplat.splatting.cpu.workspace import Lease
 
 MAX_INSTANCES = 2**31 - 1
-MOST_CHANNELS = 64
-"""Of one blending: of more, each piece is blended by itself."""
-_CHUNKS = 16  # fixed, so that sums over chunks do not depend on the number of threads
-_BLEND_PIECES = 16  # for each thread: some tiles are far fuller than others
+"""Pairs of a Gaussian and a tile, at most: what a signed 32-bit index reaches."""
+MAX_CHANNELS = 64
+"""Of one blending: of more, each piece is blended by itself. Chosen by eye."""
+_CHUNKS = 16
+"""Fixed, so that sums over chunks do not depend on the number of threads."""
+_BLEND_PIECES = 16
+"""For each thread: some tiles are far fuller than others."""
 
 
 def _array(tensor: Tensor) -> np.ndarray:
@@ -186,7 +189,7 @@ def blend(
     """
     pieces = [
         _Blend.apply(means2d, conics, opacities, piece, depths, extents, width, height, absolute)
-        for piece in features.split(MOST_CHANNELS if absolute is None else features.shape[1], 1)
+        for piece in features.split(MAX_CHANNELS if absolute is None else features.shape[1], 1)
     ]
     if len(pieces) == 1:
         return pieces[0]

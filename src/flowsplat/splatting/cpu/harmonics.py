@@ -17,6 +17,7 @@ from flowsplat.splatting.cpu.projection import HALF, ONE, TWO, ZERO
 from flowsplat.splatting.rules import C0, C1, C2, C3
 
 CHUNKS = 64
+"""Ranges into which Gaussians are cut, whatever the number of threads."""
 S0, S1 = np.float32(C0), np.float32(C1)
 S2, S3 = np.array(C2, np.float32), np.array(C3, np.float32)
 THREE, FOUR, SIX, EIGHT = np.float32(3), np.float32(4), np.float32(6), np.float32(8)

@@ -16,7 +16,7 @@ from flowsplat.common.kernels import inline, kernel, log
 from flowsplat.splatting.rules import ALPHA_MIN, DETERMINANT_MAX, OPACITY_FLOOR, RADIUS_MAX, TANGENT_MARGIN
 
 ONE, TWO, HALF, ZERO = np.float32(1), np.float32(2), np.float32(0.5), np.float32(0)
-CLAMP_MARGIN, PER_ALPHA_MIN = np.float32(TANGENT_MARGIN), np.float32(1 / ALPHA_MIN)
+CLAMP_MARGIN, INVERSE_ALPHA_MIN = np.float32(TANGENT_MARGIN), np.float32(1 / ALPHA_MIN)
 MIN_OPACITY, MAX_RADIUS = np.float32(OPACITY_FLOOR), np.float32(RADIUS_MAX)
 MAX_DETERMINANT = np.float32(DETERMINANT_MAX)
 
@@ -117,7 +117,7 @@ def project_forward(
         conics[i, 0] = c * inverse_determinant
         conics[i, 1] = -b * inverse_determinant
         conics[i, 2] = a * inverse_determinant
-        extent = TWO * log(max(opacities[i], MIN_OPACITY) * PER_ALPHA_MIN)
+        extent = TWO * log(max(opacities[i], MIN_OPACITY) * INVERSE_ALPHA_MIN)
         if good and extent > ZERO:
             half_x, half_y = math.sqrt(extent * a), math.sqrt(extent * c)
             if (u + half_x > ZERO) and (u - half_x < w) and (v + half_y > ZERO) and (v - half_y < h):

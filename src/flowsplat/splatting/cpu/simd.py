@@ -17,6 +17,7 @@ from numba.extending import intrinsic
 from flowsplat.common.simd import FAST, INDICES, LANES, VECTOR, at, constant, element, f32xn, load_lanes, splat, store_lanes
 
 BLOCK_WIDTH = 8
+"""Pixels of a row that are blended together."""
 BLOCK_HEIGHT = LANES // BLOCK_WIDTH
 """A vector is a block of pixels, 8 x 2 or 8 x 1: small Gaussians fill it better than a row of 16."""
 _I32 = ir.IntType(32)

@@ -19,13 +19,17 @@ from flowsplat.splatting.rules import ALPHA_MIN
 
 TILE_WIDTH = BLOCK_WIDTH  # one block of pixels wide
 TILE_HEIGHT = 64
-GEOMETRY = 6  # leading entries of a record: x, y, three of the exponent, log2 opacity
+"""Pixels. Chosen by eye."""
+GEOMETRY = 6
+"""Leading entries of a record: x, y, three of the exponent, log2 opacity."""
 EXPONENT = np.float32(1.4426950408889634 / 8)  # from a natural exponent to one in base 2 divided by 8
 LOG_ALPHA_MIN = np.float32(math.log(ALPHA_MIN))
 MIN_CONIC = np.float32(1e-20)
 CUT = np.float32(math.log2(ALPHA_MIN) / 8)  # of the exponent: below it nothing is drawn
-BATCH = 64  # Gaussians that are packed before they are cut
-PREFETCH = 8  # Gaussians ahead whose scattered inputs are asked for
+BATCH_GAUSSIANS = 64
+"""Gaussians that are packed before they are cut. Chosen by eye."""
+PREFETCH = 8
+"""Gaussians ahead whose scattered inputs are asked for. Chosen by eye."""
 
 
 @kernel
@@ -114,10 +118,10 @@ def pack_and_cut(
     for chunk in range(begin_chunk, end_chunk):
         k = 0
         end = visible * (chunk + 1) // chunks
-        ellipses = np.empty((BATCH, 8), np.float32)
-        for begin in range(visible * chunk // chunks, end, BATCH):
+        ellipses = np.empty((BATCH_GAUSSIANS, 8), np.float32)
+        for begin in range(visible * chunk // chunks, end, BATCH_GAUSSIANS):
             # How many columns a Gaussian has is a branch that no processor guesses; what it waits for is done before.
-            size = min(BATCH, end - begin)
+            size = min(BATCH_GAUSSIANS, end - begin)
             for s in range(begin, begin + size):
                 ahead = int64(order[min(s + PREFETCH, end - 1)])
                 prefetch(means2d, ahead * 2)

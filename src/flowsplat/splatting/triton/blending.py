@@ -18,11 +18,16 @@ import triton.language as tl
 from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from flowsplat.splatting.triton.tiles import RECORD, TILE
 
-FORWARD_WARPS, BACKWARD_WARPS = 2, 1  # with one warp, the sums of a tile need no shared memory and no barriers
-CHECK_EVERY = 32  # Gaussians after which a tile looks whether all its pixels have stopped
-GAUSSIANS_PER_STEP = 4  # Gaussians of which forward loads everything before it uses it
-GEOMETRY = 8  # leading columns of a row of sums: two of the mean, three of the conic, opacity, two of the absolute gradient
-GATHERED = 8  # rows that are summed at once
+FORWARD_WARPS, BACKWARD_WARPS = 2, 1
+"""With one warp, the sums of a tile need no shared memory and no barriers. Measured (docs/gpu.md)."""
+CHECK_EVERY = 32
+"""Gaussians after which a tile looks whether all its pixels have stopped. Measured (docs/gpu.md)."""
+GAUSSIANS_PER_STEP = 4
+"""Gaussians of which forward loads everything before it uses it. Measured (docs/gpu.md)."""
+GEOMETRY = 8
+"""Leading columns of a row of sums: two of the mean, three of the conic, opacity, two of the absolute gradient."""
+SUMMED_ROWS = 8
+"""Rows that are summed at once."""
 
 _TILE, _RECORD, _GEOMETRY = tl.constexpr(TILE), tl.constexpr(RECORD), tl.constexpr(GEOMETRY)
 _LIMIT, _STOP = tl.constexpr(ALPHA_MAX), tl.constexpr(TRANSMITTANCE_MIN)

@@ -169,7 +169,7 @@ class _Blend(torch.autograd.Function):
             blending.gather_gradients[(count,)](
                 counted.order, counted.counts, counted.ends, out, ctx.opacity, grad_means2d, grad_conics, grad_opacities,
                 grad_features, ctx.absolute, capacity, CHANNELS=channels, COLUMNS=power_of_two(blending.GEOMETRY + channels),
-                STRIDE=stride, ROWS=blending.GATHERED, ABSOLUTE=ctx.absolute is not None, num_warps=1,
+                STRIDE=stride, ROWS=blending.SUMMED_ROWS, ABSOLUTE=ctx.absolute is not None, num_warps=1,
             )  # fmt: skip
         return grad_means2d, grad_conics, grad_opacities, grad_features, None, None, None, None, None
 

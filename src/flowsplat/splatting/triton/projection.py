@@ -12,10 +12,11 @@ import triton.language as tl
 
 from flowsplat.splatting.rules import ALPHA_MIN, DETERMINANT_MAX, OPACITY_FLOOR, RADIUS_MAX, TANGENT_MARGIN
 
-CLAMP_MARGIN, PER_ALPHA_MIN = tl.constexpr(TANGENT_MARGIN), tl.constexpr(1 / ALPHA_MIN)
+CLAMP_MARGIN, INVERSE_ALPHA_MIN = tl.constexpr(TANGENT_MARGIN), tl.constexpr(1 / ALPHA_MIN)
 MIN_OPACITY, MAX_RADIUS = tl.constexpr(OPACITY_FLOOR), tl.constexpr(RADIUS_MAX)
 MAX_DETERMINANT = tl.constexpr(DETERMINANT_MAX)
-CAMERA = 16  # entries of a camera's gradient: twelve of viewmat, then fx, fy, cx, cy
+CAMERA = 16
+"""Entries of a camera's gradient: twelve of viewmat, then fx, fy, cx, cy."""
 
 
 @triton.jit
@@ -137,7 +138,7 @@ def project_forward(
     good = inside & (determinant > 0) & (determinant < MAX_DETERMINANT)
     inverse_determinant = 1.0 / tl.where(good, determinant, 1.0)
     opacity = tl.load(opacities + i, mask=live, other=0.0)
-    extent = 2 * tl.log(tl.maximum(opacity, MIN_OPACITY) * PER_ALPHA_MIN)
+    extent = 2 * tl.log(tl.maximum(opacity, MIN_OPACITY) * INVERSE_ALPHA_MIN)
     good = good & (extent > 0)
     half_x, half_y = tl.sqrt(tl.where(good, extent * a, 0.0)), tl.sqrt(tl.where(good, extent * c, 0.0))
     good = good & (u + half_x > 0) & (u - half_x < w) & (v + half_y > 0) & (v - half_y < h)

@@ -25,10 +25,14 @@ from torch import Tensor
 from flowsplat.common.triton import rows_per_program
 from flowsplat.splatting.rules import ALPHA_MIN
 
-TILE = 16  # pixels, wide and high
-RECORD = 8  # floats of a Gaussian's geometry, so that it lies in one sector of memory; six are used
+TILE = 16
+"""Pixels, wide and high."""
+RECORD = 8
+"""Floats of a Gaussian's geometry, so that it lies in one sector of memory; six are used."""
 MAX_INSTANCES = 2**31 - 1
-_GRANULE = 4096  # capacities are multiples of this
+"""Pairs of a Gaussian and a tile, at most: what a signed 32-bit index reaches."""
+_GRANULE = 4096
+"""Capacities are multiples of this. Chosen by eye."""
 
 _TILE = tl.constexpr(TILE)
 _RECORD = tl.constexpr(RECORD)

@@ -9,13 +9,14 @@ import torch
 from torch import Tensor
 
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15
+"""Decay of the first and of the second moment, and what keeps the division finite (docs/method.md, "Training", has the last)."""
 MAX_CORRECTED_STEPS = 1 << 15
 """Steps after which the bias correction of the second moment is 1 in float32."""
 
 
 @functools.cache
 def correction_table() -> np.ndarray:
-    """Return [LONGEST, 2] for the kernels, by steps taken: 1 / (1 - beta_1^n) and sqrt(1 / (1 - beta_2^n))."""
+    """Return [MAX_CORRECTED_STEPS, 2] for the kernels, by steps taken: 1 / (1 - beta_1^n) and sqrt(1 / (1 - beta_2^n))."""
     n = np.arange(1, MAX_CORRECTED_STEPS)
     table = np.ones((MAX_CORRECTED_STEPS, 2), np.float32)
     table[1:, 0], table[1:, 1] = 1 / (1 - BETA1**n), np.sqrt(1 / (1 - BETA2**n))

@@ -17,8 +17,8 @@ def add_residuals(
 ) -> None:
     """Add what an image says about the Gaussians on its visible surface, where flow is trusted.
 
-    Those are the ones whose center lies in the image, on a pixel of alpha above ``reference.OPAQUE``, at the depth that is
-    rendered there to within ``reference.ON_SURFACE`` of it.
+    Those are the ones whose center lies in the image, on a pixel of alpha above ``reference.SURFACE_ALPHA``, at the depth that is
+    rendered there to within ``reference.SURFACE_TOLERANCE`` of it.
 
     Args:
         statistics: ``flow_residual`` (pixels), ``color_residual`` (0 to 1) and ``flow_visits`` [N] are added to, in place.

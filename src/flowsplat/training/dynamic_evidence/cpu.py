@@ -17,7 +17,7 @@ from flowsplat.training.dynamic_evidence import reference
 from flowsplat.training.photometric_loss import PhotometricTargets
 from flowsplat.training.photometric_loss.cpu import BYTE, HALF, ONE, ZERO, flow_at
 
-OPAQUE, ON_SURFACE, THIRD = np.float32(reference.OPAQUE), np.float32(reference.ON_SURFACE), np.float32(1 / 3)
+SURFACE, TOLERANCE, THIRD = np.float32(reference.SURFACE_ALPHA), np.float32(reference.SURFACE_TOLERANCE), np.float32(1 / 3)
 
 
 @kernel
@@ -31,10 +31,10 @@ def _add(
         u, v = means2d[a, 0], means2d[a, 1]
         if visible[a] and u >= ZERO and v >= ZERO and u < float32(width) and v < float32(height):
             w, h = int(u), int(v)
-            if trusted[h, w] and alpha[h, w] > OPAQUE:
+            if trusted[h, w] and alpha[h, w] > SURFACE:
                 share = ONE / alpha[h, w]
                 surface = image[h, w, 3] * share
-                if abs(depths[a] - surface) < ON_SURFACE * surface:
+                if abs(depths[a] - surface) < TOLERANCE * surface:
                     du, dv, _, _ = flow_at(image, h, w, flow_channels, half_width, half_height)
                     du, dv = du * share - flow[h, w, 0], dv * share - flow[h, w, 1]
                     wrong = ZERO

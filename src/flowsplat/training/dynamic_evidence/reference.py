@@ -10,10 +10,10 @@ from flowsplat.gaussians.gaussians4d import Active
 from flowsplat.gaussians.render import RenderedFrame
 from flowsplat.training.photometric_loss import PhotometricTargets
 
-OPAQUE = 0.5
-"""Alpha above which there is a surface."""
-ON_SURFACE = 0.05
-"""How far from it a Gaussian on it may be, as a share of its depth."""
+SURFACE_ALPHA = 0.5
+"""Alpha above which there is a surface. Chosen by eye."""
+SURFACE_TOLERANCE = 0.05
+"""How far from it a Gaussian on it may be, as a share of its depth. Chosen by eye."""
 
 
 def add_residuals(
@@ -40,7 +40,7 @@ def residuals(rendered: RenderedFrame, targets: PhotometricTargets) -> tuple[Ten
     surface = rendered.depth.detach()[y, x] / alpha.clamp(min=1e-6)
     depths = rendered.projected.depths.detach()
     trusted = torch.as_tensor(targets.flow_trusted, device=uv.device)[y, x]
-    seen = inside & trusted & (alpha > OPAQUE) & ((depths - surface).abs() < ON_SURFACE * surface)
+    seen = inside & trusted & (alpha > SURFACE_ALPHA) & ((depths - surface).abs() < SURFACE_TOLERANCE * surface)
     flow = rendered.flow.detach()[y, x] / alpha.clamp(min=1e-6)[:, None]
     wrong = (flow - torch.as_tensor(targets.flow, device=uv.device)[y, x]).norm(dim=1)
     true = torch.as_tensor(targets.color, device=uv.device)[y, x].float() / 255

@@ -21,11 +21,16 @@ from flowsplat.training.photometric_loss.api import ImageFigures, PhotometricTar
 from flowsplat.training.photometric_loss.reference import C1, C2, RADIUS, window
 
 CHANNELS = 3
+"""Red, green and blue."""
 PAD = RADIUS * CHANNELS
 W0, W1, W2, W3, W4, W5 = window()[: RADIUS + 1].astype(np.float32)
 K1, K2 = np.float32(C1), np.float32(C2)
 ONE, TWO, ZERO, HALF = np.float32(1), np.float32(2), np.float32(0), np.float32(0.5)
-BYTE, OPAQUE, MAX_UNSEEN_SHARE = np.float32(1 / 255), np.float32(reference.OPAQUE), np.float32(reference.MAX_UNSEEN_SHARE)
+BYTE, FLOW_ALPHA, MAX_UNSEEN_SHARE = (
+    np.float32(1 / 255),
+    np.float32(reference.MIN_FLOW_ALPHA),
+    np.float32(reference.MAX_UNSEEN_SHARE),
+)
 
 
 @helper
@@ -96,7 +101,7 @@ def flow_at(image, h, w, flow_channels, half_width, half_height):
 @inline
 def _flow_counts(image, alpha, flow_trusted, h, w, end, by_alpha):
     held = image[h, w, end] if image.shape[2] > end else ZERO
-    return flow_trusted[h, w] and held <= MAX_UNSEEN_SHARE * alpha[h, w] and (alpha[h, w] >= OPAQUE or not by_alpha)
+    return flow_trusted[h, w] and held <= MAX_UNSEEN_SHARE * alpha[h, w] and (alpha[h, w] >= FLOW_ALPHA or not by_alpha)
 
 
 @kernel

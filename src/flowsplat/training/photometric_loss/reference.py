@@ -10,10 +10,12 @@ from flowsplat.gaussians.flow import flow_image
 from flowsplat.training.photometric_loss.api import ImageFigures, PhotometricTargets, PhotometricWeights, Plane
 
 RADIUS, SIGMA, C1, C2 = 5, 1.5, 0.01**2, 0.03**2
-OPAQUE = 0.5
-"""Alpha from which a pixel's flow counts, if it is compared by alpha."""
+"""Of SSIM: pixels of the window to either side and its standard deviation, and the constants of Wang et al. 2004
+(docs/method.md, "Evaluation protocols")."""
+MIN_FLOW_ALPHA = 0.5
+"""Alpha from which a pixel's flow counts, if it is compared by alpha (docs/method.md, "Flow splatting")."""
 MAX_UNSEEN_SHARE = 0.05
-"""Share of alpha that may be held by what the other camera cannot see."""
+"""Share of alpha that may be held by what the other camera cannot see (docs/method.md, "Flow splatting")."""
 
 
 def window() -> np.ndarray:
@@ -46,7 +48,7 @@ def flow_loss(flow: Tensor, alpha: Tensor, target: Tensor, valid: Tensor, by_alp
     """L1 in pixels between splatted [H, W, 2] and prior flow, mean over valid pixels [H, W] and both components."""
     if by_alpha:
         target = alpha[..., None] * target
-        valid = valid & (alpha >= OPAQUE)
+        valid = valid & (alpha >= MIN_FLOW_ALPHA)
     error = (flow - target).abs().sum(-1)
     return (error * valid).sum() / (2 * valid.sum().clamp(min=1))
 

@@ -19,7 +19,7 @@ from flowsplat.training.photometric_loss import reference
 from flowsplat.training.photometric_loss.api import ImageFigures, PhotometricTargets, PhotometricWeights
 
 RADIUS, K1, K2 = tl.constexpr(reference.RADIUS), tl.constexpr(reference.C1), tl.constexpr(reference.C2)
-OPAQUE, MAX_UNSEEN_SHARE = tl.constexpr(reference.OPAQUE), tl.constexpr(reference.MAX_UNSEEN_SHARE)
+FLOW_ALPHA, MAX_UNSEEN_SHARE = tl.constexpr(reference.MIN_FLOW_ALPHA), tl.constexpr(reference.MAX_UNSEEN_SHARE)
 W0, W1, W2, W3, W4, W5 = (tl.constexpr(float(tap)) for tap in reference.window()[: reference.RADIUS + 1])
 
 
@@ -157,7 +157,7 @@ def _flow_counts(image, alpha, trusted, pixel, inside, channels, FLOW: tl.conste
     if HELD:
         counts &= tl.load(image + pixel * channels + (4 + FLOW), mask=inside, other=0.0) <= a * MAX_UNSEEN_SHARE
     if BY_ALPHA:
-        counts &= a >= OPAQUE
+        counts &= a >= FLOW_ALPHA
     return counts, a
 
 

@@ -15,7 +15,8 @@ from torch import Tensor
 from flowsplat.training.adam import RowAdam
 
 HALF_PARALLAX = 4.0
-"""Parallax, as a standard deviation over the clip, at which half of that counts: below it the images hardly tell a depth."""
+"""Parallax, as a standard deviation over the clip, at which half of that counts: below it the images hardly tell a depth
+(docs/method.md, "Where preset `default` differs from the paper")."""
 
 
 @dataclass(frozen=True)

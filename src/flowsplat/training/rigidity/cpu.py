@@ -17,6 +17,7 @@ from flowsplat.training.rigidity import reference
 from flowsplat.training.rigidity.neighbors import Neighbors
 
 CHUNKS = 64
+"""Ranges into which Gaussians are cut, whatever the number of threads, so that sums do not depend on it."""
 NORM_EPSILON, ZERO, ONE = np.float32(reference.NORM_EPSILON), np.float32(0), np.float32(1)
 
 

@@ -13,7 +13,8 @@ from flowsplat.geometry import Camera, Similarity
 from flowsplat.training.config import PRESETS
 
 CONFIG = PRESETS["default"]
-SIZE = 854, 480
+IMAGE_SIZE = 854, 480
+"""Width and height, pixels."""
 
 
 def _gaussians(count: int = 5000) -> Gaussians4D:
@@ -29,7 +30,7 @@ def _gaussians(count: int = 5000) -> Gaussians4D:
 def _camera() -> Camera:
     viewmat = np.eye(4)
     viewmat[2, 3] = 3
-    return Camera(viewmat, np.array([[700, 0, SIZE[0] / 2], [0, 700, SIZE[1] / 2], [0, 0, 1]]), *SIZE)
+    return Camera(viewmat, np.array([[700, 0, IMAGE_SIZE[0] / 2], [0, 700, IMAGE_SIZE[1] / 2], [0, 0, 1]]), *IMAGE_SIZE)
 
 
 def image() -> None:
@@ -43,7 +44,7 @@ def step() -> None:
     from flowsplat.scenes import Flow
     from flowsplat.training.trainer import Trainer
 
-    width, height = SIZE
+    width, height = IMAGE_SIZE
     covered, flat = np.ones((height, width), bool), np.ones((height, width), np.float32)
     image, flow = np.zeros((height, width, 3), np.uint8), Flow(0, 1, np.zeros((height, width, 2), np.float32), flat)
     # Both have a flow, so that it does not matter which is drawn.

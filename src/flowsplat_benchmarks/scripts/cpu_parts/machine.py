@@ -21,8 +21,10 @@ from flowsplat.common.simd import LANES, broadcast, largest_lane, maximum
 from flowsplat.common.threads import kind_of_threads, parallel_for, thread_count
 from flowsplat_benchmarks.scripts.cpu_parts.timing import Job, significant, use_threads
 
-ROUNDS = 200_000
-TRIAD_SIZE = 1 << 25  # floats in each of three arrays of 128 MiB: far beyond any cache
+ARITHMETIC_ROUNDS = 200_000
+"""How often the chain of arithmetic is gone through."""
+TRIAD_SIZE = 1 << 25
+"""Floats in each of three arrays of 128 MiB: far beyond any cache."""
 OPTIONS = {"error_model": "numpy", "nogil": True}
 """Not cached on disk: the cache does not notice when ``simd`` changes the width of a vector."""
 
@@ -176,7 +178,7 @@ class Limits:
         use_threads(threads)
         values = self._peaks.setdefault(threads, [])
         # Short tries, so that one of them finds all cores free.
-        values.append(max(_measure_peak(threads, twelve, ROUNDS) for twelve in 5 * (True, False)))
+        values.append(max(_measure_peak(threads, twelve, ARITHMETIC_ROUNDS) for twelve in 5 * (True, False)))
         return {}
 
     def _bandwidth(self, threads: int) -> dict[str, float]:

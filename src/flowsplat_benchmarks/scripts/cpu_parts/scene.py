@@ -15,16 +15,17 @@ from flowsplat.splatting.harmonics import harmonics_from_colors
 from flowsplat_benchmarks.scripts.cpu_parts.work_load import WorkLoad, work_load
 
 FRAMES = 6
-BACKGROUND = 0.4
-"""Share of the Gaussians that is background, always active. The others are objects, each active around one of the frames: with six
-frames 0.4 + 0.6 / 6 = one half is active in every frame."""
+"""Frames that the scene is made for."""
+BACKGROUND_SHARE = 0.4
+"""Share of the Gaussians that is background, always active. The others are objects, each active around one of the frames: with
+six frames 0.4 + 0.6 / 6 = one half is active in every frame."""
 PRESENCE_REACH = 0.1
 """How long before and after its center time an object is active: half the distance of two frames."""
 
 
 def gaussians(config: ModelConfig, count: int, width: int, height: int) -> Gaussians4D:
     """``count`` Gaussians; those that are active in a frame look like ``work_load`` of half as many, at median depth 1."""
-    resting, moving = round(count * BACKGROUND), round(count * (1 - BACKGROUND) / FRAMES)
+    resting, moving = round(count * BACKGROUND_SHARE), round(count * (1 - BACKGROUND_SHARE) / FRAMES)
     loads = [work_load(resting + moving, width, height, seed=seed) for seed in range(FRAMES)]
     shuffled = [np.random.default_rng(seed).permutation(resting + moving) for seed in range(FRAMES)]
     chosen = [(loads[0], shuffled[0][:resting])]

@@ -21,7 +21,8 @@ from flowsplat_benchmarks.scripts.cpu_parts.clock import profile
 from flowsplat_benchmarks.scripts.cpu_parts.timing import Job, interleave, significant, use_threads
 from flowsplat_benchmarks.scripts.cpu_parts.work_load import HEIGHT, WIDTH
 
-COUNT = 200_000
+GAUSSIANS = 200_000
+"""Of the scene whose training step is measured."""
 DIRECTORS = ("training/trainer.py", "gaussians/render.py")
 """The files that put a step together; what they call are its parts."""
 
@@ -77,7 +78,7 @@ class Training:
         }  # fmt: skip
 
 
-def measure_training(threads: int, repeat: int, count: int = COUNT, width: int = WIDTH, height: int = HEIGHT) -> dict[str, Any]:
+def measure_training(threads: int, repeat: int, count: int = GAUSSIANS, width: int = WIDTH, height: int = HEIGHT) -> dict[str, Any]:
     """Return the frame-step of each preset, in turns."""
     use_threads(threads)
     trainings = {name: Training(name, count, width, height) for name in ("default", "paper")}
@@ -92,7 +93,7 @@ def measure_training(threads: int, repeat: int, count: int = COUNT, width: int =
     return {"size": [width, height], "threads": threads, "presets": presets}
 
 
-def measure_viewing(threads: int, repeat: int, count: int = COUNT, width: int = WIDTH, height: int = HEIGHT) -> dict[str, Any]:
+def measure_viewing(threads: int, repeat: int, count: int = GAUSSIANS, width: int = WIDTH, height: int = HEIGHT) -> dict[str, Any]:
     """Return frames without gradients, three ways: colors alone (C = 3); ``render``, which adds depth; ``SceneModel.render``, which
     also fills holes and gives arrays."""
     use_threads(threads)

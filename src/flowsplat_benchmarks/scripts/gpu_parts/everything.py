@@ -29,9 +29,9 @@ FOLDER = Path(__file__).parent
 COMMAND = ("-m", "flowsplat_benchmarks.scripts.gpu")
 """What runs a part, behind the name of Python."""
 SHOWN_LINES = 15
-"""Lines of a failed part's output that are kept."""
-GRACE = 3.0
-"""Seconds for writing the last result, and for a part that is asked to stop."""
+"""Lines of a failed part's output that are kept. Chosen by eye."""
+GRACE_SECONDS = 3.0
+"""Seconds for writing the last result, and for a part that is asked to stop. Chosen by eye."""
 
 
 class FoundPart(TypedDict):
@@ -83,7 +83,7 @@ def plan(minutes: float, parts: Sequence[GpuPart] = PARTS) -> list[tuple[GpuPart
 
 def limit_of(index: int, left: float, parts: Sequence[GpuPart] = PARTS) -> float:
     """Return seconds for a part when so many are left for it and for all that come after it."""
-    return max(left - GRACE, 0.0) * parts[index].weight / sum(part.weight for part in parts[index:])
+    return max(left - GRACE_SECONDS, 0.0) * parts[index].weight / sum(part.weight for part in parts[index:])
 
 
 def measure(
@@ -187,6 +187,6 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         except ProcessLookupError:
             break
         try:
-            process.wait(GRACE)
+            process.wait(GRACE_SECONDS)
         except subprocess.TimeoutExpired:
             continue

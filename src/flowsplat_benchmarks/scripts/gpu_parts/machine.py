@@ -16,9 +16,10 @@ import triton.language as tl
 
 from flowsplat_benchmarks.scripts.cpu_parts.timing import significant
 
-COPIED = 1 << 28
+COPIED_BYTES = 1 << 28
 """Bytes that are copied: far more than any cache holds."""
-ROUNDS, PROGRAMS, BLOCK = 4096, 4096, 1024
+ARITHMETIC_ROUNDS, PROGRAMS, BLOCK = 4096, 4096, 1024
+"""How often the chain of arithmetic is gone through, the programs that do it, and the numbers of one."""
 
 
 def device() -> str:
@@ -134,11 +135,11 @@ def limits(repeat: int, small: bool = False) -> dict[str, float]:
     """Operations a second (an FMA counts two) and bytes a second (a copy counts both ways); ``small``: meaningless ones."""
     if small:
         return {"copy_bytes_per_second": 1e12, "flops_per_second": 1e13}
-    source, out = torch.empty(COPIED, dtype=torch.uint8, device="cuda"), torch.empty(PROGRAMS, device="cuda")
+    source, out = torch.empty(COPIED_BYTES, dtype=torch.uint8, device="cuda"), torch.empty(PROGRAMS, device="cuda")
     target = torch.empty_like(source)
     copy = milliseconds(lambda: target.copy_(source), repeat)
-    fma = milliseconds(lambda: _chains[(PROGRAMS,)](out, 0.999, 0.001, ROUNDS=ROUNDS, BLOCK=BLOCK), repeat)
+    fma = milliseconds(lambda: _chains[(PROGRAMS,)](out, 0.999, 0.001, ROUNDS=ARITHMETIC_ROUNDS, BLOCK=BLOCK), repeat)
     return {
-        "copy_bytes_per_second": 2 * COPIED / copy["min_ms"] * 1e3,
-        "flops_per_second": 16 * ROUNDS * PROGRAMS * BLOCK / fma["min_ms"] * 1e3,
+        "copy_bytes_per_second": 2 * COPIED_BYTES / copy["min_ms"] * 1e3,
+        "flops_per_second": 16 * ARITHMETIC_ROUNDS * PROGRAMS * BLOCK / fma["min_ms"] * 1e3,
     }

@@ -33,14 +33,18 @@ KERNEL_TESTS = (
     "tests/gpu/test_full_size.py",
 )  # fmt: skip
 TESTS_AT_ONCE = 14
+"""Processes that test, at most. Chosen by eye."""
 WIDTH, HEIGHT = 854, 480
-STEPS = 200
-LOOKED_AT = (1, 10, 50, 100, STEPS)
+"""Pixels."""
+TRAINING_STEPS = 200
+"""Training steps that are compared."""
+COMPARED_STEPS = (1, 10, 50, 100, TRAINING_STEPS)
+"""Steps after which the losses of both are compared."""
 CHOSEN = {name: getattr(blending, name) for name in ("FORWARD_WARPS", "GAUSSIANS_PER_STEP", "CHECK_EVERY", "BACKWARD_WARPS")}
 """As the package has them."""
 CPU_SECONDS = 100
 """What training the small scene takes on a processor of some cores, with compiling: begun only where there is time for it."""
-NUDGE = 1e-7
+RELATIVE_NUDGE = 1e-7
 """Relative: about the rounding of one float32."""
 
 
@@ -125,11 +129,11 @@ def kernels(record: Record) -> None:
         raise SystemExit(process.returncode)
 
 
-def _trainer(record: Record, name: str = "default", total: int = frames.TOTAL) -> Trainer:
+def _trainer(record: Record, name: str = "default", total: int = frames.GAUSSIANS) -> Trainer:
     """Return some steps into training on drawn Gaussians, with a preset's settings."""
     width, height = record.size(WIDTH, HEIGHT)
     config = replace(PRESETS[name], iterations=2 if record.rehearse else 2 * drawn.FRAMES, frames_per_iteration=1, preview_every=0)
-    with replace_attribute(drawn, "BACKGROUND", frames.SHARE_AT_REST):
+    with replace_attribute(drawn, "BACKGROUND_SHARE", frames.REST_SHARE):
         start = drawn.gaussians(config.model, record.count(total), width, height)
     trainer = Trainer(drawn.observations(start, width, height), None, config, start=start, device=machine.device())
     trainer.run()
@@ -190,7 +194,7 @@ def frames_a_second(record: Record) -> None:
     limits = record.attempt("limits", lambda: machine.limits(record.repeat, small=record.rehearse))
     for name, (width, height) in frames.SIZES.items():
         size = record.size(width, height)
-        model = frames.gaussians(record.count(frames.TOTAL), *size)
+        model = frames.gaussians(record.count(frames.GAUSSIANS), *size)
         for channels in list(frames.WAYS)[-1 if record.rehearse else 0 :]:
             if limits is not None:
                 image = frames.Frames(model, *size, channels)
@@ -324,7 +328,7 @@ def agreement(record: Record) -> None:
     """Parameters and images apart after so many steps, and how far a CPU's own are when it starts one rounding beside."""
     # What the CPU's trainers compute in Numba they compute on a card's host as everywhere; no kernels of Triton there.
     width, height = record.size(320, 180)
-    steps = 3 if record.rehearse else STEPS
+    steps = 3 if record.rehearse else TRAINING_STEPS
     config = replace(PRESETS["default"], iterations=steps, frames_per_iteration=1, preview_every=0)
     config = replace(config, average=0.0, density=replace(config.density, every=0, reset_every=0))
     truth = drawn.gaussians(config.model, record.count(20_000), width, height)
@@ -334,7 +338,7 @@ def agreement(record: Record) -> None:
     start.params["sh"] += 0.2 * torch.randn(start.params["sh"].shape, generator=generator)
     start.params["means"] *= 1 + 0.002 * torch.randn(start.params["means"].shape, generator=generator)
     states = {"CPU": list(_states(start, seen, config, "cpu"))}
-    states["CPU, one rounding beside"] = list(_states(_perturb(start, NUDGE), seen, config, "cpu"))
+    states["CPU, one rounding beside"] = list(_states(_perturb(start, RELATIVE_NUDGE), seen, config, "cpu"))
     if record.rehearse:
         interpreted.compute_with_triton()
     states["card"] = list(_states(start, seen, config, machine.device()))
@@ -357,7 +361,7 @@ def _states(start: Gaussians4D, seen: Any, config: Any, device: str) -> Iterator
 
     def look(entry: Any) -> None:
         after(entry)
-        if trainer.step in LOOKED_AT or trainer.step == config.iterations:
+        if trainer.step in COMPARED_STEPS or trainer.step == config.iterations:
             found.append((trainer.step, {name: value.cpu().clone() for name, value in trainer.gaussians.params.items()}))
 
     trainer._after_step = look  # type: ignore[method-assign]
@@ -409,7 +413,7 @@ def gsplat(record: Record) -> None:
     )
     record["waited for its compiler"] = {"seconds": significant(time.perf_counter() - began), "said": done.stderr[-600:]}
     for name, (width, height) in frames.SIZES.items():
-        model = frames.gaussians(frames.TOTAL, width, height)
+        model = frames.gaussians(frames.GAUSSIANS, width, height)
         for channels in frames.WAYS:
             image = frames.Frames(model, width, height, channels)
             record.attempt(f"{name}, C = {channels}", lambda image=image: image.compare_with_gsplat(record.repeat))  # type: ignore[misc]

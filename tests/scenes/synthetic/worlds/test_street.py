@@ -9,9 +9,9 @@ from flowsplat.common.errors import InputError
 from flowsplat.geometry.cameras import unproject_depth
 from flowsplat.scenes.scene import Scene
 from flowsplat.scenes.synthetic import StreetScene, encode_frames, write_synthetic, write_synthetic_video
-from flowsplat.scenes.synthetic.drawn_clip import BASELINE
+from flowsplat.scenes.synthetic.drawn_clip import HELD_OUT_BASELINE
 from flowsplat.scenes.synthetic.worlds.placing import apart, are_apart
-from flowsplat.scenes.synthetic.worlds.street import FPS, LASTS, MIDDLE, draw_street
+from flowsplat.scenes.synthetic.worlds.street import FPS, MIDDLE, STREET_SECONDS, draw_street
 from tests.geometry.still import camera_flow
 from tests.marks import slow
 
@@ -35,14 +35,14 @@ def test_fewer_frames_show_the_middle_and_more_show_it_slower():
     np.testing.assert_allclose(part.camera(3).viewmat, whole.camera(13).viewmat, atol=1e-12)
     np.testing.assert_allclose(part.world.geometry(3)[0], whole.world.geometry(13)[0], rtol=1e-9)
     slow = StreetScene(96, 54, 145)
-    assert slow.timestamps[-1] == pytest.approx(LASTS)
+    assert slow.timestamps[-1] == pytest.approx(STREET_SECONDS)
     np.testing.assert_allclose(slow.camera(2).viewmat, StreetScene(96, 54, 73).camera(1).viewmat, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_nothing_floats_sinks_or_goes_through_anything(seed):
     world = draw_street(seed, frames=73)
-    times = np.linspace(0, LASTS, 200)
+    times = np.linspace(0, STREET_SECONDS, 200)
     walker, cart, ball = world.objects
     assert [obj.kind for obj in world.objects] == ["walker", "vehicle", "bouncing"]
     for obj in world.objects:
@@ -73,7 +73,7 @@ def test_the_truth_agrees_with_itself():
     np.testing.assert_allclose(flow.flow[static], camera_flow(seen.depth, SMALL.camera(3), SMALL.camera(4))[static], atol=1e-3)
     for view in SMALL.heldout_views():
         own = SMALL.camera(view.frame)
-        assert np.linalg.norm(view.camera.center - own.center) == pytest.approx(BASELINE * MIDDLE[1])
+        assert np.linalg.norm(view.camera.center - own.center) == pytest.approx(HELD_OUT_BASELINE * MIDDLE[1])
         aside = SMALL.render(view.camera, SMALL.timestamps[view.frame])
         shared = SMALL.covisible(view)
         assert 0.6 < shared.mean() < 1

@@ -22,9 +22,11 @@ from flowsplat.splatting import Projected
 from flowsplat.splatting.cpu.projection import CLAMP_MARGIN, ONE, ZERO, clamp, rotation, rotation_gradient
 from flowsplat.splatting.rules import EPS2D
 
-CHANNELS = 10  # color 3, depth, flow at the center of the image 2, B by rows 4
+CHANNELS = 10
+"""Color 3, depth, flow at the center of the image 2, B by rows 4."""
 CHUNKS = 64
-CLIP, BLUR = np.float32(FLOW_NEAR_PLANE), np.float32(EPS2D)
+"""Ranges into which Gaussians are cut, whatever the number of threads."""
+NEAR_CLIP, BLUR_VARIANCE = np.float32(FLOW_NEAR_PLANE), np.float32(EPS2D)
 
 
 @inline
@@ -39,7 +41,7 @@ def _footprint(means, quats, scales, i, view, K, limits, turned, L, seen):
     x = view[0, 0] * px + view[0, 1] * py + view[0, 2] * pz + view[0, 3]
     y = view[1, 0] * px + view[1, 1] * py + view[1, 2] * pz + view[1, 3]
     z = view[2, 0] * px + view[2, 1] * py + view[2, 2] * pz + view[2, 3]
-    inverse = ONE / max(z, CLIP)
+    inverse = ONE / max(z, NEAR_CLIP)
     tx, ty = clamp(x * inverse, limits[0], limits[1]), clamp(y * inverse, limits[2], limits[3])
     seen[0], seen[1], seen[2], seen[3], seen[4], seen[5] = x, y, z, tx, ty, inverse
     for d in range(3):
@@ -67,7 +69,7 @@ def _footprint_gradient(quats, scales, i, view, K, turned, seen, d_L, gu, gv, d_
     dux = gu * fx - (dj02 * fx * inverse if tx == x * inverse else ZERO)
     duy = gv * fy - (dj12 * fy * inverse if ty == y * inverse else ZERO)
     d_inverse = fx * (dj00 - dj02 * tx) + fy * (dj11 - dj12 * ty) + dux * x + duy * y
-    dx, dy, dz = dux * inverse, duy * inverse, -d_inverse * inverse * inverse if z > CLIP else ZERO
+    dx, dy, dz = dux * inverse, duy * inverse, -d_inverse * inverse * inverse if z > NEAR_CLIP else ZERO
     for d in range(3):
         d_mean[d] = view[0, d] * dx + view[1, d] * dy + view[2, d] * dz
     r00, r01, r02, r10, r11, r12, r20, r21, r22, qw, qx, qy, qz, length = rotation(quats, i)
@@ -96,8 +98,8 @@ def _products(L, later):
     z01 = later[0, 0] * L[1, 0] + later[0, 1] * L[1, 1] + later[0, 2] * L[1, 2] - b
     z10 = later[1, 0] * L[0, 0] + later[1, 1] * L[0, 1] + later[1, 2] * L[0, 2] - b
     z11 = later[1, 0] * L[1, 0] + later[1, 1] * L[1, 1] + later[1, 2] * L[1, 2] - c
-    a += BLUR
-    c += BLUR
+    a += BLUR_VARIANCE
+    c += BLUR_VARIANCE
     inverse = ONE / (a * c - b * b)
     return z00, z01, z10, z11, c * inverse, -b * inverse, a * inverse
 
@@ -118,7 +120,7 @@ def _forward(
             features[i, 3] = depths[i]
             _footprint(means, quats, scales, i, views[0], Ks[0], limits[0], turned, L, seen)
             _footprint(next_means, next_quats, scales, i, views[1], Ks[1], limits[1], turned, later, seen)
-            front = seen[2] > CLIP
+            front = seen[2] > NEAR_CLIP
             if front:
                 z00, z01, z10, z11, xx, xy, yy = _products(L, later)
                 b00, b01, b10, b11 = z00 * xx + z01 * xy, z00 * xy + z01 * yy, z10 * xx + z11 * xy, z10 * xy + z11 * yy
@@ -160,7 +162,7 @@ def _backward(
             d_means2d[i, 0] = ZERO
             d_means2d[i, 1] = ZERO
             _footprint(next_means, next_quats, scales, i, views[1], Ks[1], limits[1], next_turned, later, next_seen)
-            if not next_seen[2] > CLIP:
+            if not next_seen[2] > NEAR_CLIP:
                 continue
             _footprint(means, quats, scales, i, views[0], Ks[0], limits[0], turned, L, seen)
             z00, z01, z10, z11, xx, xy, yy = _products(L, later)

@@ -17,7 +17,8 @@ from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected
 
 CHANNELS = 6
-ONE, ZERO, CLIP = np.float32(1), np.float32(0), np.float32(FLOW_NEAR_PLANE)
+"""Channels of a Gaussian: color 3, depth, flow 2."""
+ONE, ZERO, NEAR_CLIP = np.float32(1), np.float32(0), np.float32(FLOW_NEAR_PLANE)
 
 
 @kernel
@@ -29,7 +30,7 @@ def _forward(begin, end, colors, depths, means2d, next_means, drawn, view, K, fe
         features[i, 3] = depths[i]
         px, py, pz = next_means[i, 0], next_means[i, 1], next_means[i, 2]
         z = view[2, 0] * px + view[2, 1] * py + view[2, 2] * pz + view[2, 3]
-        front = z > CLIP
+        front = z > NEAR_CLIP
         features[i, 4] = ZERO
         features[i, 5] = ZERO
         if front:
@@ -53,7 +54,7 @@ def _backward(begin, end, gradient, next_means, view, K, d_colors, d_depths, d_m
         d_depths[i] = gradient[i, 3]
         px, py, pz = next_means[i, 0], next_means[i, 1], next_means[i, 2]
         z = view[2, 0] * px + view[2, 1] * py + view[2, 2] * pz + view[2, 3]
-        front = z > CLIP
+        front = z > NEAR_CLIP
         gu, gv = gradient[i, 4] if front else ZERO, gradient[i, 5] if front else ZERO
         d_means2d[i, 0] = -gu
         d_means2d[i, 1] = -gv

@@ -25,15 +25,16 @@ from flowsplat.splatting import Projected
 from flowsplat.splatting.rules import EPS2D
 from flowsplat.splatting.triton.projection import CLAMP_MARGIN, rotation, rotation_gradient
 
-CHANNELS = 11  # color 3, depth, flow at the center of the image 2, B by rows 4, unseen
-CLIP, BLUR = tl.constexpr(FLOW_NEAR_PLANE), tl.constexpr(EPS2D)
+CHANNELS = 11
+"""Color 3, depth, flow at the center of the image 2, B by rows 4, unseen."""
+NEAR_CLIP, BLUR_VARIANCE = tl.constexpr(FLOW_NEAR_PLANE), tl.constexpr(EPS2D)
 
 
 @triton.jit
 def _tangents(camera, x, y, z, width, height):
     """1 / z and the tangents, held as the rasterizer holds them."""
     fx, fy, cx, cy = tl.load(camera + FX), tl.load(camera + FY), tl.load(camera + CX), tl.load(camera + CY)
-    inverse = 1.0 / tl.where(z > CLIP, z, CLIP)
+    inverse = 1.0 / tl.where(z > NEAR_CLIP, z, NEAR_CLIP)
     tx = tl.minimum(tl.maximum(x * inverse, (cx + width * CLAMP_MARGIN) / -fx), (cx - (width + width * CLAMP_MARGIN)) / -fx)
     ty = tl.minimum(tl.maximum(y * inverse, (cy + height * CLAMP_MARGIN) / -fy), (cy - (height + height * CLAMP_MARGIN)) / -fy)
     return inverse, tx, ty
@@ -76,8 +77,8 @@ def _products(p0, p1, p2, q0, q1, q2, n0, n1, n2, m0, m1, m2):
     a, b, c = p0 * p0 + p1 * p1 + p2 * p2, p0 * q0 + p1 * q1 + p2 * q2, q0 * q0 + q1 * q1 + q2 * q2
     z00, z01 = n0 * p0 + n1 * p1 + n2 * p2 - a, n0 * q0 + n1 * q1 + n2 * q2 - b
     z10, z11 = m0 * p0 + m1 * p1 + m2 * p2 - b, m0 * q0 + m1 * q1 + m2 * q2 - c
-    a += BLUR
-    c += BLUR
+    a += BLUR_VARIANCE
+    c += BLUR_VARIANCE
     inverse = 1.0 / (a * c - b * b)
     xx, xy, yy = c * inverse, -b * inverse, a * inverse
     return z00 * xx + z01 * xy, z00 * xy + z01 * yy, z10 * xx + z11 * xy, z10 * xy + z11 * yy, xx, xy, yy
@@ -94,7 +95,7 @@ def _forward(
     p0, p1, p2, q0, q1, q2, _, _, _ = _footprint(means, quats, s0, s1, s2, cameras, i, inside, width, height)
     later = cameras + CAMERA
     n0, n1, n2, m0, m1, m2, x, y, z = _footprint(next_means, next_quats, s0, s1, s2, later, i, inside, width, height)
-    front = z > CLIP
+    front = z > NEAR_CLIP
     b00, b01, b10, b11, _, _, _ = _products(p0, p1, p2, q0, q1, q2, n0, n1, n2, m0, m1, m2)
     inverse = 1.0 / tl.where(front, z, 1.0)
     u, v = tl.load(means2d + i * 2, mask=inside, other=0.0), tl.load(means2d + i * 2 + 1, mask=inside, other=0.0)
@@ -141,7 +142,7 @@ def _footprint_gradient(
     dux = gu * fx - tl.where(tx == x * inverse, dj02 * fx * inverse, 0.0)
     duy = gv * fy - tl.where(ty == y * inverse, dj12 * fy * inverse, 0.0)
     d_inverse = fx * (dj00 - dj02 * tx) + fy * (dj11 - dj12 * ty) + dux * x + duy * y
-    dz = tl.where(z > CLIP, -d_inverse * inverse * inverse, 0.0)
+    dz = tl.where(z > NEAR_CLIP, -d_inverse * inverse * inverse, 0.0)
     wx, wy, wz = to_world(camera, dux * inverse, duy * inverse, dz)
     store_vector(d_means, i, tl.where(front, wx, 0.0), tl.where(front, wy, 0.0), tl.where(front, wz, 0.0), mask)
     # The gradient of R S is J^T times that of L.
@@ -175,7 +176,7 @@ def _backward(
     later = cameras + CAMERA
     p0, p1, p2, q0, q1, q2, _, _, _ = _footprint(means, quats, s0, s1, s2, cameras, i, inside, width, height)
     n0, n1, n2, m0, m1, m2, _, _, z = _footprint(next_means, next_quats, s0, s1, s2, later, i, inside, width, height)
-    front = inside & (z > CLIP)
+    front = inside & (z > NEAR_CLIP)
     b00, b01, b10, b11, xx, xy, yy = _products(p0, p1, p2, q0, q1, q2, n0, n1, n2, m0, m1, m2)
     gu, gv = tl.load(row + 4, mask=front, other=0.0), tl.load(row + 5, mask=front, other=0.0)
     cx = tl.load(means2d + i * 2, mask=inside, other=0.0) - 0.5 * width

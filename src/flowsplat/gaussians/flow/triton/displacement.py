@@ -22,8 +22,9 @@ from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected
 
-CHANNELS = 7  # color 3, depth, flow 2, unseen
-CLIP = tl.constexpr(FLOW_NEAR_PLANE)
+CHANNELS = 7
+"""Color 3, depth, flow 2, unseen."""
+NEAR_CLIP = tl.constexpr(FLOW_NEAR_PLANE)
 
 
 @triton.jit(do_not_specialize=["count"])
@@ -33,7 +34,7 @@ def _forward(colors, depths, means2d, next_means, camera, features, count, BLOCK
     red, green, blue = load_vector(colors, i, inside)
     x, y, z = load_vector(next_means, i, inside)
     x, y, z = to_camera(camera, x, y, z)
-    front = z > CLIP
+    front = z > NEAR_CLIP
     inverse = 1.0 / tl.where(front, z, 1.0)
     u = tl.load(camera + FX) * x * inverse + tl.load(camera + CX) - tl.load(means2d + i * 2, mask=inside, other=0.0)
     v = tl.load(camera + FY) * y * inverse + tl.load(camera + CY) - tl.load(means2d + i * 2 + 1, mask=inside, other=0.0)
@@ -54,7 +55,7 @@ def _backward(gradient, next_means, camera, d_colors, d_depths, d_means2d, d_nex
     row = gradient + i * 7
     red, green, blue = load_vector(next_means, i, inside)
     x, y, z = to_camera(camera, red, green, blue)
-    front = z > CLIP
+    front = z > NEAR_CLIP
     gu = tl.where(front, tl.load(row + 4, mask=inside, other=0.0), 0.0)
     gv = tl.where(front, tl.load(row + 5, mask=inside, other=0.0), 0.0)
     inverse = 1.0 / tl.where(front, z, 1.0)

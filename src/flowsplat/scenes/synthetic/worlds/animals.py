@@ -12,12 +12,12 @@ from flowsplat.scenes.synthetic.worlds.parts import UP, Poses, WorldObject, abou
 from flowsplat.scenes.synthetic.worlds.people import HALF_FOOT, SHIN, THIGH, Gait, find_hips, find_knee, place_ankle
 
 SHOULDER_HEIGHT = 0.55
-"""Meters from the ground to the back of an animal of scale 1, a large dog."""
+"""Meters from the ground to the back of an animal of scale 1, a large dog. Chosen by eye."""
 
-_LEGS = 0.42
-"""Scale of the legs, of those of a person: thigh, shin and foot are .39 m together."""
-_LENGTH = 0.62
-"""Meters between the front and the hind legs of scale 1."""
+_LEG_SCALE = 0.42
+"""Scale of the legs, of those of a person: thigh, shin and foot are .39 m together. Chosen by eye."""
+_BODY_LENGTH = 0.62
+"""Meters between the front and the hind legs of scale 1. Chosen by eye."""
 
 
 def animal(
@@ -25,12 +25,12 @@ def animal(
     rich: bool,
 ) -> WorldObject:  # fmt: skip
     """Return an animal that walks straight, in the middle of the clip at ``at`` [2]; the arguments as of ``people.walker``."""
-    legs = _LEGS * scale
+    legs = _LEG_SCALE * scale
     step = legs * np.clip(0.3 + 0.24 * speed / legs, 0.3, 0.66)
     ahead = np.array([np.cos(heading), np.sin(heading)])
-    front = Gait(ground, at + 0.5 * _LENGTH * scale * ahead, heading, 0.0, step, rng.uniform(0, 2 * step), legs)
+    front = Gait(ground, at + 0.5 * _BODY_LENGTH * scale * ahead, heading, 0.0, step, rng.uniform(0, 2 * step), legs)
     # The hind legs walk as the front ones do, a quarter of a step later, as a walking dog's.
-    hind = replace(front, at=at - 0.5 * _LENGTH * scale * ahead, first=front.first + 0.5 * step)
+    hind = replace(front, at=at - 0.5 * _BODY_LENGTH * scale * ahead, first=front.first + 0.5 * step)
     hips = [find_hips(gait, speed, duration) for gait in (front, hind)]
     coat, other = draw_material(rng, 0.5 * scale, rich), draw_material(rng, 0.3 * scale, False)
     limb = [capsule(0.035 * scale, THIGH * legs, coat), capsule(0.026 * scale, SHIN * legs, other)]

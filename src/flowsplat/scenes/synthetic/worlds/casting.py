@@ -18,7 +18,7 @@ ELLIPSOID, BOX, CAPSULE, CYLINDER, ROOM = range(5)
 radius, half length); half extents. Capsules and cylinders lie along their z."""
 
 _MIN_RAY = 1e-3
-"""Smallest multiple of a ray's direction that counts: a point does not shade itself."""
+"""Smallest multiple of a ray's direction that counts: a point does not shade itself. Chosen by eye."""
 
 
 @inline

@@ -12,11 +12,11 @@ from flowsplat.scenes.synthetic.worlds.parts import UP, Placed, box, frame
 GroundKind = Literal["flat", "slope", "steps", "none"]
 """``none``: there is one, but it is not in sight."""
 
-HALF_WIDTH, THICKNESS = 60.0, 1.5
-"""Meters to either side, and half the height of its boxes."""
+HALF_WIDTH, BOX_HALF_HEIGHT = 60.0, 1.5
+"""Meters to either side, and half the height of its boxes. Chosen by eye."""
 
 ROOM_FOR_FOOT = 0.2
-"""Meters that a foot keeps from the edge of a step."""
+"""Meters that a foot keeps from the edge of a step. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class WorldGround:
         """Its boxes."""
         if self.count == 0:
             turn = frame(self.tangent(np.array(0.0)), self.normal)[0]
-            half, middle = np.array([HALF_WIDTH, HALF_WIDTH, THICKNESS]), np.zeros(3)
+            half, middle = np.array([HALF_WIDTH, HALF_WIDTH, BOX_HALF_HEIGHT]), np.zeros(3)
             if self.front > -HALF_WIDTH:
                 half, middle = np.array([HALF_WIDTH, HALF_WIDTH, 10.0]), np.array([0.0, self.front + HALF_WIDTH, 0.0])
             return [Placed(box(half, material), turn, middle - half[2] * self.normal)]
@@ -94,6 +94,6 @@ class WorldGround:
         for k in range(self.count + 1):
             start = self.first + (k - 1) * self.tread if k else -HALF_WIDTH
             end = self.first + k * self.tread if k < self.count else HALF_WIDTH
-            center = np.append(0.5 * (start + end) * self.direction, k * self.rise - THICKNESS)
-            placed.append(Placed(box([0.5 * (end - start), HALF_WIDTH, THICKNESS], material), turn, center))
+            center = np.append(0.5 * (start + end) * self.direction, k * self.rise - BOX_HALF_HEIGHT)
+            placed.append(Placed(box([0.5 * (end - start), HALF_WIDTH, BOX_HALF_HEIGHT], material), turn, center))
         return placed

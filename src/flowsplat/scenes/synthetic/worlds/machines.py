@@ -29,8 +29,8 @@ from flowsplat.scenes.synthetic.worlds.parts import (
 )
 
 BALL_PATTERNS = (SEGMENTS, SPOTS, STRIPES, CHECKERS)
-STOPS = 0.3
-"""Share of vehicles and rolling balls that come to rest."""
+STOPPING_SHARE = 0.3
+"""Share of vehicles and rolling balls that come to rest. Chosen by eye."""
 
 Way = Callable[[np.ndarray], np.ndarray]
 """Seconds [T] to meters [T], 0 in the middle of the clip."""

@@ -22,6 +22,7 @@ Poses = tuple[np.ndarray, np.ndarray]
 
 UP = np.array([0.0, 0.0, 1.0])
 GRAVITY = 9.81
+"""m/s^2."""
 
 
 @dataclass(frozen=True)

@@ -26,27 +26,29 @@ from flowsplat.scenes.synthetic.worlds.parts import (
     together,
 )
 
-HEIGHT = 1.75
-"""Meters of a walker of scale 1."""
+WALKER_HEIGHT = 1.75
+"""Meters of a walker of scale 1. Chosen by eye."""
 
 THIGH, SHIN, ANKLE = 0.43, 0.43, 0.08
+"""Meters of a walker of scale 1, and the height of the ankle over the ground. Chosen by eye."""
 UPPER_ARM, LOWER_ARM = 0.29, 0.27
+"""Meters of a walker of scale 1. Chosen by eye."""
 HIP, SHOULDER = 0.1, 0.21
-"""Half the widths of hips and shoulders."""
+"""Half the widths of hips and shoulders. Chosen by eye."""
 SHOULDER_HEIGHT = 0.5
-"""Above the hips."""
+"""Above the hips. Chosen by eye."""
 HALF_FOOT = np.array([0.13, 0.047, 0.035])
 
-STANCE = 0.55
-"""A foot stands from this share of a step before the hips pass it to this share after."""
+STANCE_SHARE = 0.55
+"""A foot stands from this share of a step before the hips pass it to this share after. Chosen by eye."""
 
-SLACK = 0.995
-"""Share of a leg's length that is used at most."""
+MAX_LEG_STRETCH = 0.995
+"""Share of a leg's length that is used at most. Chosen by eye."""
 
-_RATE = 240.0
-"""Times a second at which the height of the hips is found."""
-_SMOOTH = 41
-"""Of these times, the window over which it is smoothed."""
+_HIP_RATE = 240.0
+"""Times a second at which the height of the hips is found. Chosen by eye."""
+_HIP_WINDOW = 41
+"""Of these times, the window over which it is smoothed. Chosen by eye."""
 
 Arms = Literal["swing", "forward"]
 """``forward``: held out, as one carries or pushes."""
@@ -90,9 +92,9 @@ class Gait:
     def foot(self, s: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return (middle of the sole [T, 3], heading [T], pitch [T], whether it stands [T])."""
         own = self.first + (side > 0) * self.step
-        number = np.floor((s - own + STANCE * self.step) / (2 * self.step))
-        since = (s - own - 2 * self.step * number) / self.step - STANCE
-        w = np.clip(since / (2 - 2 * STANCE), 0, 1)
+        number = np.floor((s - own + STANCE_SHARE * self.step) / (2 * self.step))
+        since = (s - own - 2 * self.step * number) / self.step - STANCE_SHARE
+        w = np.clip(since / (2 - 2 * STANCE_SHARE), 0, 1)
         (start, heading), (end, later) = self.plant(number, side), self.plant(number + 1, side)
         smooth = w * w * (3 - 2 * w)
         sole = start + smooth[:, None] * (end - start)
@@ -123,7 +125,7 @@ def walker(
     """Return a person who walks, in the middle of the clip at ``at`` [2].
 
     Args:
-        scale: 1 = as tall as ``HEIGHT``.
+        scale: 1 = as tall as ``WALKER_HEIGHT``.
         speed: meters a second.
         duration: seconds of the clip.
         rich: whether the clothes have patterns.
@@ -153,17 +155,17 @@ def walker(
 
 def find_hips(gait: Gait, speed: float, duration: float) -> Callable[[np.ndarray], np.ndarray]:
     """Height of the hips over time: as high as both legs reach, smoothed without ever getting higher."""
-    times = np.arange(-_SMOOTH / _RATE, duration + 2 * _SMOOTH / _RATE, 1 / _RATE)
+    times = np.arange(-_HIP_WINDOW / _HIP_RATE, duration + 2 * _HIP_WINDOW / _HIP_RATE, 1 / _HIP_RATE)
     s = speed * (times - duration / 2)
     place, heading = gait.place(s)
     right = np.stack([np.sin(heading), -np.cos(heading)], -1)
-    reach = SLACK * gait.scale * (THIGH + SHIN)
+    reach = MAX_LEG_STRETCH * gait.scale * (THIGH + SHIN)
     top = np.full(len(times), np.inf)
     for side in (-1, 1):
         ankle = place_ankle(gait, s, side)[0]
         away = np.linalg.norm(ankle[:, :2] - place - side * HIP * gait.scale * right, axis=1)
         top = np.minimum(top, ankle[:, 2] + np.sqrt(np.maximum(reach**2 - away**2, 0)))
-    height = uniform_filter1d(minimum_filter1d(top, _SMOOTH), _SMOOTH)
+    height = uniform_filter1d(minimum_filter1d(top, _HIP_WINDOW), _HIP_WINDOW)
     return lambda asked: np.interp(asked, times, height)
 
 

@@ -24,29 +24,35 @@ from flowsplat.scenes.synthetic.worlds.placing import apart, are_apart, is_free
 from flowsplat.scenes.synthetic.worlds.world import Light, World
 
 FPS = 24.0
-LASTS = 3.0
-"""Seconds for which the street is drawn. A shorter clip shows the middle of them, a longer one all of them in more frames."""
+"""Frames a second that the street is drawn at."""
+STREET_SECONDS = 3.0
+"""Seconds for which the street is drawn. A shorter clip shows the middle of them, a longer one all of them in more frames.
+Chosen by eye."""
 
-SEEN = 39 / FPS
-"""Seconds in the middle for which everything that moves has to be in the image."""
+SEEN_SECONDS = 39 / FPS
+"""Seconds in the middle for which everything that moves has to be in the image. Chosen by eye."""
 
-EYE = 1.6
-"""Meters above the ground at which the camera is carried."""
-FOCAL = 0.85
-"""Focal length over the width of the image."""
+EYE_HEIGHT = 1.6
+"""Meters above the ground at which the camera is carried. Chosen by eye."""
+FOCAL_RATIO = 0.85
+"""Focal length over the width of the image. Chosen by eye."""
 
 MIDDLE = np.array([0.0, 6.0, 0.95])
 """What the camera looks at."""
 
-ATTEMPTS = 1000
-_ENOUGH_PIXELS = 0.004
-"""Share of the image in which each object has to be seen, at times spread over ``SEEN``: 230 of 57,600 pixels."""
+MAX_ATTEMPTS = 1000
+"""How often the street is drawn anew, at most. A round number."""
+_MIN_SEEN_AREA = 0.004
+"""Share of the image in which each object has to be seen, at times spread over ``SEEN_SECONDS``: 230 of 57,600 pixels.
+Chosen by eye."""
 _SETTLE_SECONDS = 0.1
-"""Seconds before the end of ``SEEN`` from which the ball may have no bounce left."""
-_CHECK_SIZE, _CHECKS = (80, 45), 6
+"""Seconds before the end of ``SEEN_SECONDS`` from which the ball may have no bounce left. Chosen by eye."""
+_CHECK_SIZE, _CHECKED_TIMES = (80, 45), 6
+"""Pixels of the small images that are looked at, and the number of times. Chosen by eye."""
 
 Color = tuple[float, float, float]
 
+# Red, green and blue, 0 to 1, chosen by eye; what has several takes one of them.
 BRICK: tuple[Color, ...] = ((0.62, 0.33, 0.25), (0.70, 0.52, 0.38), (0.55, 0.42, 0.36))
 PLASTER: tuple[Color, ...] = ((0.86, 0.78, 0.62), (0.66, 0.76, 0.78), (0.84, 0.66, 0.56), (0.78, 0.80, 0.68))
 DOORS: tuple[Color, ...] = ((0.16, 0.36, 0.30), (0.20, 0.28, 0.50), (0.50, 0.16, 0.14))
@@ -63,7 +69,7 @@ GLASS, WHITE, SKY = (0.20, 0.28, 0.36), (0.90, 0.89, 0.86), (0.62, 0.76, 0.92)
 
 def frame_rate(frames: int) -> float:
     """Return frames a second of a clip of the street."""
-    return max(FPS, (frames - 1) / LASTS)
+    return max(FPS, (frames - 1) / STREET_SECONDS)
 
 
 def draw_street(seed: int, width: int = 320, height: int = 180, frames: int = 40) -> World:
@@ -73,13 +79,13 @@ def draw_street(seed: int, width: int = 320, height: int = 180, frames: int = 40
         InputError: nothing could be placed in sight.
     """
     fps = frame_rate(frames)
-    for attempt in range(ATTEMPTS):
+    for attempt in range(MAX_ATTEMPTS):
         rng = np.random.default_rng([seed, 6, attempt])
         world = _place(rng, seed)
         if world is not None and _is_in_sight(world):
-            start = 0.5 * (LASTS - (frames - 1) / fps)
+            start = 0.5 * (STREET_SECONDS - (frames - 1) / fps)
             return _from(replace(world, width=width, height=height, frames=frames, fps=fps), start)
-    raise InputError(f"The street of seed {seed} has no place for what moves in {ATTEMPTS} attempts: choose another one.")
+    raise InputError(f"The street of seed {seed} has no place for what moves in {MAX_ATTEMPTS} attempts: choose another one.")
 
 
 def _from(world: World, start: float) -> World:
@@ -95,18 +101,18 @@ def _from(world: World, start: float) -> World:
 
 
 def _place(rng: np.random.Generator, seed: int) -> World | None:
-    """Return one attempt, over all of ``LASTS``; None where things are inside each other."""
+    """Return one attempt, over all of ``STREET_SECONDS``; None where things are inside each other."""
     ground = WorldGround("flat", np.zeros(2), np.array([0.0, 1.0]))
     objects = _draw_objects(rng, ground)
     path = _draw_passing_camera(rng)
     static = [_sky(rng), *ground.parts(_material(rng, PAVING, BRICKS, 0.8, MORTAR, 0.16, 0.5)), *_scenery(rng)]
     around, up = np.radians(rng.choice([-1, 1]) * rng.uniform(25, 65) - 90), np.radians(rng.uniform(38, 55))
     sun = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
-    frames = int(LASTS * FPS) + 1
+    frames = int(STREET_SECONDS * FPS) + 1
     world = World(
-        seed, 320, 180, frames, FPS, ground, "walking", FOCAL, path, tuple(static), objects, Light(sun, 0.68, 0.58), noise=0.8
+        seed, 320, 180, frames, FPS, ground, "walking", FOCAL_RATIO, path, tuple(static), objects, Light(sun, 0.68, 0.58), noise=0.8
     )  # fmt: skip
-    times = np.linspace(0, LASTS, 40)
+    times = np.linspace(0, STREET_SECONDS, 40)
     if not are_apart(objects, times, False) or not is_free(world, path(times)[0]):
         return None
     stands = static[1 + ground.boxes :]
@@ -122,10 +128,12 @@ def _draw_objects(rng: np.random.Generator, ground: WorldGround) -> tuple[WorldO
     def at(aside: float, far: tuple[float, float]) -> np.ndarray:
         return np.array([rng.uniform(-aside, aside), rng.uniform(*far)])
 
-    person = walker(rng, ground, at(0.7, (4.8, 5.4)), heading(), rng.uniform(0.95, 1.04), rng.uniform(1.1, 1.4), LASTS, True)
+    person = walker(
+        rng, ground, at(0.7, (4.8, 5.4)), heading(), rng.uniform(0.95, 1.04), rng.uniform(1.1, 1.4), STREET_SECONDS, True
+    )
     speed = rng.uniform(0.8, 1.2)
     cart = vehicle(
-        rng, ground, at(1.0, (6.7, 7.3)), heading(), rng.uniform(1.2, 1.6), lambda times: speed * (times - LASTS / 2), True
+        rng, ground, at(1.0, (6.7, 7.3)), heading(), rng.uniform(1.2, 1.6), lambda times: speed * (times - STREET_SECONDS / 2), True
     )
     thrown = in_the_air(
         rng,
@@ -134,7 +142,7 @@ def _draw_objects(rng: np.random.Generator, ground: WorldGround) -> tuple[WorldO
         heading(),
         rng.uniform(0.13, 0.18),
         rng.uniform(0.4, 0.9),
-        LASTS,
+        STREET_SECONDS,
         True,
         bounces=True,
         rolls_on=True,
@@ -150,9 +158,9 @@ def _draw_passing_camera(rng: np.random.Generator) -> Callable[[np.ndarray], Vie
     way = np.array([side, onward, 0.0])
 
     def path(times: np.ndarray) -> Views:
-        went = (speed * (times - LASTS / 2))[:, None] * way
+        went = (speed * (times - STREET_SECONDS / 2))[:, None] * way
         steps = (bob * np.sin(rate * times + phase))[:, None] * UP
-        places = EYE * UP + went + steps + (sway * np.sin(0.5 * rate * times + phase))[:, None] * np.array([1.0, 0.0, 0.0])
+        places = EYE_HEIGHT * UP + went + steps + (sway * np.sin(0.5 * rate * times + phase))[:, None] * np.array([1.0, 0.0, 0.0])
         return look(places, MIDDLE + gaze * went, 0.0, np.radians(0.2) * tremble(times))
 
     return path
@@ -160,14 +168,14 @@ def _draw_passing_camera(rng: np.random.Generator) -> Callable[[np.ndarray], Vie
 
 def _is_in_sight(world: World) -> bool:
     """Return whether everything that moves is well in the image for the seconds that matter, and the ball bounces in them."""
-    if world.objects[-1].instants[-1] < (LASTS + SEEN) / 2 - _SETTLE_SECONDS:
+    if world.objects[-1].instants[-1] < (STREET_SECONDS + SEEN_SECONDS) / 2 - _SETTLE_SECONDS:
         return False
     grid = pixel_grid(*_CHECK_SIZE).astype(np.float64).reshape(-1, 2)
-    for time in LASTS / 2 + np.linspace(-0.5, 0.5, _CHECKS) * SEEN:
+    for time in STREET_SECONDS / 2 + np.linspace(-0.5, 0.5, _CHECKED_TIMES) * SEEN_SECONDS:
         camera = world.camera_at(time, *_CHECK_SIZE)
         uv = camera.project(np.concatenate([obj.center(np.array([time])) for obj in world.objects]))[0]
         share = np.bincount(world.numbers[world.cast(camera, time, grid).part], minlength=4)[1:] / len(grid)
-        if (uv < 0.06 * np.array(_CHECK_SIZE)).any() or (uv > 0.94 * np.array(_CHECK_SIZE)).any() or (share < _ENOUGH_PIXELS).any():
+        if (uv < 0.06 * np.array(_CHECK_SIZE)).any() or (uv > 0.94 * np.array(_CHECK_SIZE)).any() or (share < _MIN_SEEN_AREA).any():
             return False
     return True
 

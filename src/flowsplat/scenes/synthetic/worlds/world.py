@@ -17,22 +17,23 @@ from flowsplat.scenes.synthetic.worlds.casting import CAPSULE, ROOM, cast, rende
 from flowsplat.scenes.synthetic.worlds.ground import WorldGround
 from flowsplat.scenes.synthetic.worlds.parts import Placed, WorldObject, WorldPart
 
-RESTING = 9
-"""Frames for which nothing of an object may move for it to count as resting."""
+MIN_RESTING_FRAMES = 9
+"""Frames for which nothing of an object may move for it to count as resting. Chosen by eye."""
 
 _MIN_MOTION = 1e-4
-"""Meters a frame below which a part does not move."""
+"""Meters a frame below which a part does not move. Chosen by eye."""
 
-_EXPOSURES = 6
-"""Times over which a blurred image is averaged."""
+_BLUR_EXPOSURES = 6
+"""Times over which a blurred image is averaged. Chosen by eye."""
 
 _SAMPLES = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]])
 """Pixels."""
 
 _SUN_SIZE = 0.012
-"""Radians by which the directions to the sun differ: shadows have soft edges."""
+"""Radians by which the directions to the sun differ: shadows have soft edges. Chosen by eye."""
 
 _NO_BOUND = 1e9
+"""Pixels: the border of what reaches behind the camera, beyond any image."""
 
 
 @dataclass(frozen=True)
@@ -181,7 +182,7 @@ class World(RayCastWorld):
             camera_at: from seconds to the camera, which moves while an image is exposed.
             rng: of the noise.
         """
-        shares = (np.arange(_EXPOSURES) + 0.5) / _EXPOSURES - 0.5 if self.shutter else np.zeros(1)
+        shares = (np.arange(_BLUR_EXPOSURES) + 0.5) / _BLUR_EXPOSURES - 0.5 if self.shutter else np.zeros(1)
         lights = self._suns()
         for k, share in enumerate(shares):
             moment = time + share * self.shutter / self.fps
@@ -237,7 +238,7 @@ class World(RayCastWorld):
 
         Returns:
             ``number``, ``kind``, ``contact`` (seconds at which it touches the ground), ``swings``, ``rolls``, ``rests`` (for
-            ``RESTING`` frames or more), ``pivot`` [3] or None, and ``touches``: the object that it touches, or None.
+            ``MIN_RESTING_FRAMES`` frames or more), ``pivot`` [3] or None, and ``touches``: the object that it touches, or None.
         """
         obj = self.objects[number - 1]
         times = self.timestamps
@@ -249,6 +250,7 @@ class World(RayCastWorld):
         other = None if pair is None or number not in pair else pair[0] + pair[1] - number
         return {
             "number": number, "kind": obj.kind, "contact": [round(t, 6) for t in contact], "swings": obj.swings,
-            "rolls": obj.rolls, "rests": bool((still[RESTING - 1 :] - still[: -RESTING + 1] >= RESTING - 1).any()),
+            "rolls": obj.rolls, "rests": bool((still[MIN_RESTING_FRAMES - 1 :] - still[: -MIN_RESTING_FRAMES + 1] >=
+            MIN_RESTING_FRAMES - 1).any()),
             "pivot": None if obj.pivot is None else [round(float(x), 6) for x in obj.pivot], "touches": other,
         }  # fmt: skip
