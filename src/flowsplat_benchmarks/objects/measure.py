@@ -63,28 +63,40 @@ def measure_scene(scene: Scene) -> Record:
     true, ours = (np.stack([layers.mask(i) for i in frames]) for layers in (truth, scene))
     scale = depth_scale(scene)
     log = np.stack([np.log(scale * scene.depth(i).depth / truth.depth(i).depth) for i in frames])
-    overlap = overlaps(true, ours, len(known))
-    assigned, idf1, total = identities(overlap, true, ours)
+    measured, total = measure_objects(true, ours, log, len(known))
     told = _read_records(scene)
-    records = []
-    for index, obj in enumerate(known):
-        inside = true == obj["number"]
-        area = inside.sum((1, 2))
-        seen = area >= MIN_PIXELS
-        found = bool((overlap[index] >= MIN_OVERLAP).any())
-        record = {**obj, "frames": int(seen.sum()), "height": _mean_height(inside[seen]), "found": found}
-        record |= (
-            _depth_errors(log, inside & (ours > 0)) if found else dict.fromkeys(("ln_distance", "depth_trajectory", "shape_offset"))
-        )
-        record |= {"iou": _compute_pooled_iou(inside, ours), "idf1": idf1[index], "estimated": assigned[index]}
-        record |= told.get(str(assigned[index]), {})
-        records.append(record)
+    records = [{**obj, **record, **told.get(str(record["estimated"]), {})} for obj, record in zip(known, measured, strict=True)]
     rests = (true == 0) & (ours == 0)
     feet = rests & _at_feet(true, known, [scene.timestamps[i] for i in frames])
     return {
         "scale": scale, "parallax": has_parallax(scene), "idf1": total, "objects": records,
         "static": _percentiles(log[rests]), "feet": _percentiles(log[feet]),
     }  # fmt: skip
+
+
+def measure_objects(true: np.ndarray, ours: np.ndarray, log: np.ndarray, objects: int) -> tuple[list[Record], float]:
+    """Return what ``measure_scene`` tells of every object, without what is true of it and what the object stage tells; and the
+    IDF1 of all.
+
+    Args:
+        true: [T, H, W] numbers of objects, from 1; ours: [T, H, W] those of our masks.
+        log: [T, H, W] ln(estimated / true depth).
+        objects: how many.
+    """
+    overlap = overlaps(true, ours, objects)
+    assigned, idf1, total = identities(overlap, true, ours)
+    records = []
+    for index in range(objects):
+        inside = true == index + 1
+        seen = inside.sum((1, 2)) >= MIN_PIXELS
+        found = bool((overlap[index] >= MIN_OVERLAP).any())
+        record: Record = {"frames": int(seen.sum()), "height": _mean_height(inside[seen]), "found": found}
+        record |= (
+            _depth_errors(log, inside & (ours > 0)) if found else dict.fromkeys(("ln_distance", "depth_trajectory", "shape_offset"))
+        )
+        record |= {"iou": _compute_pooled_iou(inside, ours), "idf1": idf1[index], "estimated": assigned[index]}
+        records.append(record)
+    return records, total
 
 
 def has_parallax(scene: Scene) -> bool:

@@ -21,8 +21,9 @@ from flowsplat.scenes.layers import write_image
 from flowsplat_benchmarks.datasets.cases import Case, rig_cases
 from flowsplat_benchmarks.oracles.classes import error_sheet, static_depth_errors, view_errors
 from flowsplat_benchmarks.oracles.objects import depth_scale, masks_of, object_depth_errors, static_error
+from flowsplat_benchmarks.oracles.quick import is_world
 from flowsplat_benchmarks.oracles.report import SHEET, write_report
-from flowsplat_benchmarks.oracles.scenes import ORACLES, make_oracle
+from flowsplat_benchmarks.oracles.scenes import ORACLES, make_oracle, require_oracles
 from flowsplat_benchmarks.priors.measure import compute_pooled_iou
 from flowsplat_benchmarks.resume import BenchmarkOptions, Measurement, measure_jobs, results_in
 from flowsplat_benchmarks.shared_scenes import prepare_scene
@@ -123,9 +124,9 @@ def oracle_runs(
     Raises:
         InputError: as ``run_oracles``.
     """
-    for oracle in oracles:
-        if oracle not in ORACLES:
-            raise InputError(f"There is no oracle {oracle!r}: choose from {', '.join(ORACLES)}.")
+    require_oracles(oracles)
+    if worlds := [name for name in scenes if is_world(name)]:
+        raise InputError(f"World {worlds[0]} has no held-out cameras to measure training by: use --quick.")
     for case in rig_cases(root, scenes, "own", preset_name, config):
         check(case.config)
         plain = replace(case, config=replace(case.config, baselines="simple", refine_poses=False))

@@ -9,7 +9,7 @@ from typing import Any
 from flowsplat.images.html import NOTHING
 from flowsplat.scenes.layers import read_image
 from flowsplat_benchmarks.oracles.classes import CLASSES, gains, legend, psnr_by_class
-from flowsplat_benchmarks.oracles.scenes import ORACLES
+from flowsplat_benchmarks.oracles.scenes import CHAINS, ORACLES
 from flowsplat_benchmarks.reports import Report, failures, runs_measured, scene_section
 from flowsplat_benchmarks.tables import Column, Result, Table, describe_version, label, plain, text
 
@@ -28,7 +28,13 @@ MEANINGS = {
     "background": "*background*: its true depth, too",
     "flow": "*flow*: true flow, too",
     "cameras": "*cameras*: all true",
+    "ids": "*ids*: every pixel of our masks has the number of its true object",
+    "shadow": "*shadow*: what rests is in no mask, too",
+    "parts": "*parts*: objects that were found in a frame are whole there, too",
+    "masks": "*masks*: all true, what was not found, too; the depth is our own",
 }
+GAINS = ("What every prior costs", "What every fault of the masks costs")
+"""Titles of the tables of ``CHAINS``."""
 ERRORS = (
     Column("constant", ("constant",), 3, sign=True),
     Column("depth_trajectory", ("depth_trajectory",), 3),
@@ -36,8 +42,8 @@ ERRORS = (
 )
 """Of the depth of an object (``objects.object_depth_errors``)."""
 REMARKS = (
-    "Each row holds what is true in those above it. True depth is brought to the scale of the estimated cameras by one factor for "
-    "the clip, from the camera paths.",
+    "Each row holds what is true in those above it in its table. True depth is brought to the scale of the estimated cameras by "
+    "one factor for the clip, from the camera paths.",
     "What the pipeline makes from a replaced prior is made anew: static depth and tracks from the true masks, tracks from true "
     "static depth and true flow.",
 )
@@ -61,7 +67,8 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
     if others:
         remarks.append(f"Results in this folder that have other settings, and are left out here: {others}.")
     remarks += failures(failed)
-    found = [each for each in (_gains(results), _views(results), _static_depth(results), _objects(results)) if each.rows]
+    chains = [_gains(results, title, chain) for title, chain in zip(GAINS, CHAINS, strict=True) if _has_any(results, chain)]
+    found = [*chains, *(each for each in (_views(results), _static_depth(results), _objects(results)) if each.rows)]
     scenes = [_scene(out, result) for result in sorted(results, key=_place)]
     return Report("oracles", TITLE, runs_measured(results, failed), remarks, found, scenes).write(out)
 
@@ -77,23 +84,28 @@ def _scene(out: Path, result: Result) -> dict[str, Any]:
     return scene_section(out, f"{scene}: {result['oracle']}", facts, f"{result['run']}/report.html", shown)
 
 
-def _gains(results: Sequence[Result]) -> Table:
-    """PSNR of all of the image and inside objects by oracle and scene, and the differences from the oracle before."""
+def _has_any(results: Sequence[Result], chain: Sequence[str]) -> bool:
+    """Return whether there is more of a chain than own priors, which all chains begin with; the first one needs no more."""
+    return any(result["oracle"] in (chain if chain == CHAINS[0] else chain[1:]) for result in results)
+
+
+def _gains(results: Sequence[Result], title: str, chain: Sequence[str]) -> Table:
+    """PSNR of all of the image and inside objects by oracle of a chain and scene, and the differences from the oracle before."""
     scenes = {result["scene"]: label(result) for result in sorted(results, key=_place)}
     by_name = {(result["scene"], result["oracle"]): result for result in results}
     rows = []
-    for oracle, meaning in MEANINGS.items():
+    for place, oracle in enumerate(chain):
         if not any((scene, oracle) in by_name for scene in scenes):
             continue
-        cells = [meaning]
+        cells = [MEANINGS[oracle]]
         for scene in scenes:
-            before = [by_name[scene, name] for name in list(ORACLES)[: list(ORACLES).index(oracle)] if (scene, name) in by_name]
+            before = [by_name[scene, name] for name in chain[:place] if (scene, name) in by_name]
             cells += _cells(by_name.get((scene, oracle)), before[-1] if before else None)
         rows.append(tuple(cells))
     header = ["true", *(cell for name in scenes.values() for cell in (name, "gain"))]
     note = "PSNR of images by held-out cameras, dB: all of the image / inside objects. Gain: over the row above that is there."
     own = [k for k, row in enumerate(rows) if row[0] == MEANINGS["own"]]
-    return Table("What every prior costs", note, tuple(header), rows, tuple(own))
+    return Table(title, note, tuple(header), rows, tuple(own))
 
 
 def _cells(result: Result | None, before: Result | None) -> list[str]:

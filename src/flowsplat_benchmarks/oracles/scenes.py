@@ -14,12 +14,23 @@
 Each holds what is true in those before it. True depth comes at the scale of the estimated cameras (``objects.depth_scale``) as long
 as these are used. What the pipeline makes from something that was replaced is made anew: static depth and tracks from the true
 masks, tracks from true static depth and from true flow.
+
+A second chain begins with own priors, too, and takes faults off the masks one by one (``mended_masks``). All depth is our own, made
+anew from these masks:
+
+| oracle | what is true in it |
+| --- | --- |
+| ids | every pixel of our masks has the number of its true object |
+| shadow | what rests is in no mask: shadows, and what else is taken for moving |
+| parts | objects that we found in a frame are whole there |
+| masks | all masks are true: objects and frames that we did not find, too |
 """
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +42,19 @@ from flowsplat.priors.graph import PRIORS
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.priors.prepare import prepare_priors, use_truth
 from flowsplat.scenes import Depth, Scene
+from flowsplat_benchmarks.oracles.mended_masks import FAULTS, mend_masks
 from flowsplat_benchmarks.oracles.objects import depth_scale, masks_of, match_objects, object_depth_errors, truth_of
+
+
+def require_oracles(names: Sequence[str]) -> None:
+    """Check that there are such oracles.
+
+    Raises:
+        InputError: there is none of a name.
+    """
+    for name in names:
+        if name not in ORACLES:
+            raise InputError(f"There is no oracle {name!r}: choose from {', '.join(ORACLES)}.")
 
 
 def make_oracle(prepared: Path, folder: Path, oracle: str, device: str = "auto") -> Scene:
@@ -44,8 +67,7 @@ def make_oracle(prepared: Path, folder: Path, oracle: str, device: str = "auto")
     Raises:
         InputError: there is no such oracle, the scene is not prepared or has no truth, or the folder cannot be written.
     """
-    if oracle not in ORACLES:
-        raise InputError(f"There is no oracle {oracle!r}: choose from {', '.join(ORACLES)}.")
+    require_oracles([oracle])
     source = Scene(prepared)
     truth_of(source)
     identity = {"name": oracle, "of": source.name, "priors": source.info.priors, "similarity": source.info.similarity}
@@ -141,6 +163,15 @@ def _cameras(scene: Scene, device: str) -> None:
     _finish(scene, device)
 
 
+def _mend(fault: str, scene: Scene, device: str) -> None:
+    for i, mask in mend_masks(scene, fault):
+        scene.write_mask(i, mask)
+    # Called true, so that the object stage leaves their numbers as they are.
+    scene.finish_prior("masks", method="truth", verdict=FAULTS[fault])
+    PRIORS.erase(scene, ["depth", "tracks"])
+    _finish(scene, device)
+
+
 def _write_true_masks(scene: Scene) -> None:
     truth = truth_of(scene)
     for i in scene.train_frames:
@@ -172,6 +203,9 @@ def _finish(scene: Scene, device: str, **verdicts: str) -> None:
 ORACLES: dict[str, Callable[[Scene, str], None]] = {
     "own": _as_it_is, "constant": _constant, "depth_trajectory": _depth_trajectory, "shape_offset": _shape_offset,
     "outline": _outline,
-    "background": _train_background, "flow": _flow, "cameras": _cameras,
+    "background": _train_background, "flow": _flow, "cameras": _cameras, **{fault: partial(_mend, fault) for fault in FAULTS},
 }  # fmt: skip
-"""What makes each oracle of a copy of the prepared scene, in the order in which they add to each other."""
+"""What makes each oracle of a copy of the prepared scene, in the order in which those of ``CHAINS`` add to each other."""
+
+CHAINS = (tuple(oracle for oracle in ORACLES if oracle not in FAULTS), ("own", *FAULTS))
+"""Oracles of which each holds what is true in those before it."""

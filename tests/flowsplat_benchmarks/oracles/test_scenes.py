@@ -11,6 +11,7 @@ import pytest
 
 from flowsplat.common.errors import InputError
 from flowsplat.scenes import Scene
+from flowsplat_benchmarks.oracles.mended_masks import FAULTS
 from flowsplat_benchmarks.oracles.objects import match_objects, object_depth_errors
 from flowsplat_benchmarks.oracles.scenes import ORACLES, make_oracle
 from tests.flowsplat_benchmarks.oracles.conftest import SCALE
@@ -56,6 +57,7 @@ def test_which_layers_are_replaced(oracles, wrong_scene):
         "background": {"depth", "masks", "tracks.npz"},
         "flow": {"depth", "masks", "tracks.npz", "flow"},
         "cameras": {"depth", "masks", "tracks.npz", "flow", "cameras.json"},
+        **{fault: {"depth", "masks", "tracks.npz", "objects.json", "objects.npz"} for fault in FAULTS},
     }
     assert found == replaced
 
@@ -114,6 +116,22 @@ def test_outline(oracles):
     assert (scene.prior("depth") or {})["method"] == "multi-view"
     assert (scene.prior("tracks") or {})["method"] == "patches"
     assert scene.tracks.moving.any()
+
+
+def test_masks_lose_one_fault_after_the_other(oracles, wrong_scene):
+    own = Scene(wrong_scene)
+    for i in own.train_frames:
+        mask, true = own.mask(i), own.truth.mask(i)
+        ids, shadow, parts, masks = (oracles[fault].mask(i) for fault in ("ids", "shadow", "parts", "masks"))
+        np.testing.assert_array_equal(ids > 0, mask > 0)
+        np.testing.assert_array_equal(ids[(mask > 0) & (true > 0)], true[(mask > 0) & (true > 0)])
+        np.testing.assert_array_equal(shadow, np.where(mask > 0, true, 0))
+        np.testing.assert_array_equal(parts[shadow > 0], shadow[shadow > 0])
+        np.testing.assert_array_equal(masks, true)
+    for fault in FAULTS:
+        made = oracles[fault]
+        assert (made.prior("depth") or {})["method"] == "multi-view", "depth is our own"
+        assert any(np.abs(made.depth(i).depth - SCALE * made.truth.depth(i).depth)[made.mask(i) > 0].max() > 1e-3 for i in (0, 4))
 
 
 @pytest.mark.parametrize("name", ["background", "flow"])
