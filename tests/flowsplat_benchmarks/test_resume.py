@@ -141,8 +141,8 @@ def test_a_system_without_semaphores_is_a_line(monkeypatch):
 def test_a_benchmark_needs_no_shared_memory(tmp_path):
     """Its engine has pipes, not semaphores."""
     program = (
-        "from flowsplat_benchmarks.resume import Job, measure_jobs\nfrom pathlib import Path\n"
-        "if __name__ == '__main__':\n    measure_jobs([Job('a', 'k', dict)], Path('out'), lambda failed: Path('page'))"
+        "from flowsplat_benchmarks.resume import Measurement, measure_jobs\nfrom pathlib import Path\n"
+        "if __name__ == '__main__':\n    measure_jobs([Measurement('a', 'k', dict)], Path('out'), lambda failed: Path('page'))"
     )
     (tmp_path / "program.py").write_text(program)
     command = [*without_shared_memory(), sys.executable, "program.py"]

@@ -127,6 +127,7 @@ def test_a_run_that_is_not_measured_is_refused_from_python(runs):
         flowsplat.compare(*map(str, runs))
 
 
+@pytest.mark.slow
 def test_videos_play_in_step(chromium, runs):
     path = flowsplat.compare(*runs)
     page = chromium.new_context(offline=True).new_page()

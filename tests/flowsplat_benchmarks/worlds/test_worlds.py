@@ -88,12 +88,16 @@ def test_dancers_are_fast_and_stand_on_the_ground():
         assert above.min() > -1e-6
 
 
-def test_a_crowd_passes_one_another_on_the_ground():
+def test_crowds_have_every_kind_and_three_to_five_bodies():
     plans = [draw_plan(seed, crowd=True) for seed in range(30)]
     assert {kind for plan in plans for kind in plan.kinds} == set(CROWD)
     assert {len(plan.kinds) for plan in plans} == {3, 4, 5}
+
+
+@pytest.mark.parametrize(("seeds", "min_hidden"), [(1, 1), slow(6, 5)])
+def test_a_crowd_passes_one_another_on_the_ground(seeds, min_hidden):
     hidden = 0
-    for seed in range(6):
+    for seed in range(seeds):
         world = draw_world(seed, 96, 54, 20, crowd=True)
         np.testing.assert_array_equal(world.image(9), draw_world(seed, 96, 54, 20, crowd=True).image(9))
         times = np.linspace(0, world.duration, 40)
@@ -104,7 +108,7 @@ def test_a_crowd_passes_one_another_on_the_ground():
             assert (gap > -2e-3).all()
             assert touching.any(1).all()
         hidden += any(hides_another(world, time) for time in times[::5])
-    assert hidden >= 5
+    assert hidden >= min_hidden
 
 
 def hides_another(world: World, time: float) -> bool:

@@ -151,8 +151,8 @@ class Player {
     element("part").onchange = () => state.setPart(element("part").value);
     element("part").parentElement.hidden = (!scene.about.resting || !scene.about.moving) && scene.about.objects.length < 2;
     offerObjects(state);
-    element("confidence_fade").parentElement.hidden = !scene.arrays.logReaches;
-    element("confidence_fade").onchange = () => state.setConfidenceFade(element("confidence_fade").checked);
+    element("confidence-fade").parentElement.hidden = !scene.arrays.logReaches;
+    element("confidence-fade").onchange = () => state.setConfidenceFade(element("confidence-fade").checked);
     element("stereo").onchange = () => {
       state.setStereo(element("stereo").checked);
       this.fit();
