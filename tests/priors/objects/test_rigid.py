@@ -119,6 +119,28 @@ def test_a_motion_that_explains_half_of_an_object_tells_its_depth_trajectory_if_
         np.testing.assert_allclose(np.ptp(obj.log_depth - billboards), 0, atol=1e-6)
 
 
+def test_what_is_deep_touches_the_ground_before_its_middle():
+    """The lowest pixels of a body that turns, a little nearer to the camera than its middle in each frame."""
+    points = body(400)
+    pixels, seen, depths = seen_body(points, 60, 0.1)
+    own = np.stack([points @ turn(np.radians(60) * k / FRAMES).T for k in range(FRAMES)], 1)  # [N, T, 3]
+    seen &= own[..., 2] < 0
+    front = np.argsort(np.where(own[..., 1] > 0.2, own[..., 2], np.inf), axis=0)[:3]
+    nearer = np.log1p(np.median(np.take_along_axis(own[..., 2], front, 0), 0) / depths)
+    assert nearer.max() < -0.035
+    bounds = [Bound(float(np.log(depths[k]) + nearer[k]), True, True, pixels[front[:, k], k].astype(int)) for k in range(FRAMES)]
+    cameras = [Camera(np.eye(4), K, 320, 180) for _ in range(FRAMES)]
+    middles = np.median(pixels, 0).astype(float)
+    obj = solve_object(1, pixels, seen, middles, bounds, cameras, None, np.log(depths), np.array([0, -1.0, 0]), flat)
+    assert obj.rigid
+    assert set(obj.cues) == {"contact"}
+    errors = []
+    for pixel, k, log_depth in zip(obj.points.pixels, obj.points.frame_of, obj.points.log_depth, strict=True):
+        away = np.where(seen[:, k], ((pixels[:, k] - pixel) ** 2).sum(1), np.inf)
+        errors.append(log_depth - np.log(own[away.argmin(), k, 2] + depths[k]))
+    assert abs(np.median(errors)) < 0.025
+
+
 @pytest.mark.parametrize("stands", [True, False])
 def test_a_motion_that_growth_and_the_ground_contradict_is_dropped(stands):
     pixels, seen, depths = seen_body(body(160), 60, 0.2)

@@ -1,12 +1,14 @@
 """The clean plate: what the image of a frame would be without its objects, from frames that see past them.
 
 Depth and cameras of the static scene tell where each pixel lies in other frames. What looks like that in enough of them
-is static, however the flow swells there; what does not has something in front of it. Shadows are static: they only
-darken the plate.
+is static, however the flow swells there; what does not has something in front of it. Of the frames that see past the objects two
+plates are made: the color most like the pixel, which says what the pixel may still be, and the middle one, which says what is
+there. Shadows are static: they only darken the plate.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
@@ -64,6 +66,26 @@ NOISE_LEVELS, SHIFT_PIXELS = 6.0, 0.5
 UNSEEN_DIFFERENCE = 1e30
 """Squared difference of what is not seen."""
 
+LIGHT_SIDE = 5
+"""Side in pixels of the square whose mean color is compared with its plate's. Chosen by eye."""
+
+
+@dataclass(frozen=True)
+class PlateComparison:
+    """How a frame differs from its plates, each [H, W] float32.
+
+    Attributes:
+        similar: multiples of its noise by which it differs from the plate that is most like it; -1 where there is no plate.
+        median: the same for the middle plate.
+        brightness: natural logarithm of its brightness over that of the middle plate, the mean of red, green and blue.
+        tint: by how much the largest of the three is above the smallest: a shadow leaves them about equal.
+    """
+
+    similar: np.ndarray
+    median: np.ndarray
+    brightness: np.ndarray
+    tint: np.ndarray
+
 
 class CleanPlate:
     """Compares the training frames of a clip with their static scene.
@@ -77,26 +99,29 @@ class CleanPlate:
         self._cameras = [clip.scene.cameras[i] for i in clip.scene.train_frames]
         self._frame = lru_cache(maxsize=2 * PLATE_OFFSETS[-1] + 1)(lambda k: clip.scene.frame(clip.scene.train_frames[k]))
 
-    def residual(self, k: int) -> np.ndarray:
-        """Return how many times its noise a frame differs from its plate, [H, W] float32; 1 or less is rest, -1 is unknown."""
+    def compare(self, k: int) -> PlateComparison:
+        """Return how a frame differs from what others see there."""
         clip, frame = self._clip, self._frame(k)
         offsets = PLATE_OFFSETS if len(clip) > FEW_FRAMES else range(1, FEW_FRAMES)
         around = [k + sign * offset for offset in offsets for sign in (-1, 1)]
         others = [j for j in around if 0 <= j < len(clip) and clip.continuity.are_joined(k, j)]
         if len(others) < MIN_VIEWS:
-            return np.full(frame.shape[:2], -1, np.float32)
+            unknown = np.full(frame.shape[:2], -1, np.float32)
+            return PlateComparison(unknown, unknown, 0 * unknown, 0 * unknown)
         inverse = self._background.behind(k)
         depth = 1 / np.maximum(upsample(inverse, frame, clip.scene.width, clip.scene.height), 1e-3 * float(np.median(inverse)))
-        plate, spread = np.empty(frame.shape, np.float32), np.empty(depth.shape, np.float32)
-        count = np.empty(depth.shape, np.uint8)
+        similar, median = np.empty((2, *frame.shape), np.float32)
+        spread, count = np.empty(depth.shape, np.float32), np.empty(depth.shape, np.uint8)
         words = pack(np.stack([self._frame(j) for j in others]), self._blocked[others])
         parallel_for(
-            _plate, len(frame), frame, depth.astype(np.float32), *_poses(self._cameras[k], [self._cameras[j] for j in others]),
-            words.reshape(-1), plate, spread, count,
+            _plates, len(frame), frame, depth.astype(np.float32), *_poses(self._cameras[k], [self._cameras[j] for j in others]),
+            words.reshape(-1), similar, median, spread, count,
         )  # fmt: skip
         # Of many frames those that look most like the pixel decide, and others may be of an object; few images must all agree.
         spread *= len(clip) <= FEW_FRAMES
-        return np.where(count >= MIN_VIEWS, difference(frame, plate, spread), -1)
+        known = count >= MIN_VIEWS
+        off = [np.where(known, difference(frame, plate, spread), -1).astype(np.float32) for plate in (similar, median)]
+        return PlateComparison(*off, *(np.where(known, told, 0) for told in compare_light(frame, median)))
 
 
 def _poses(camera: Camera, others: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
@@ -106,14 +131,14 @@ def _poses(camera: Camera, others: list[Camera]) -> tuple[np.ndarray, np.ndarray
 
 
 @kernel
-def _plate(
+def _plates(
     begin: int, end: int, frame: np.ndarray, depth: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, words: np.ndarray,
-    plate: np.ndarray, spread: np.ndarray, count: np.ndarray,
+    similar: np.ndarray, median: np.ndarray, spread: np.ndarray, count: np.ndarray,
 ) -> None:  # fmt: skip
     """The static scene at the pixels of ``frame``.
 
-    Fills colors [H, W, 3] float32, how far half of the frames that see them are from them (mean squared difference [H, W]), and
-    how many frames see them [H, W] uint8.
+    Fills the colors most like it and the middle ones, [H, W, 3] float32, how far half of the frames are from the former (mean
+    squared difference [H, W]), and how many frames see the pixel [H, W] uint8.
     """
     H, W = depth.shape
     J = len(poses)
@@ -128,7 +153,8 @@ def _plate(
             for q in range(3):
                 row[(1 + q) * room + x] = np.float32(frame[y, min(x, W - 1), q])
         seen, apart = np.empty(3 * J * LANES, np.float32), np.empty(J * LANES, np.float32)
-        found = np.empty(5 * room, np.float32)  # colors, spread and count
+        bright = np.empty(J * LANES, np.float32)
+        found = np.empty(8 * room, np.float32)  # colors, spread, count and middle colors
         dy = (np.float32(y) + half - K[3]) / K[1]
         for block in range(0, room, LANES):
             first = min(block, room - LANES)  # The last block overlaps the one before.
@@ -146,6 +172,7 @@ def _plate(
                 inside = where_at_least(v, height - half, broadcast(nothing), holds)
                 holds = where_at_least(v, -half, inside, broadcast(nothing))
                 store(apart, j * LANES, broadcast(far))
+                store(bright, j * LANES, broadcast(far))
                 if largest_lane(holds) == nothing:
                     continue
                 u = minimum(maximum(u, broadcast(-half)), broadcast(width - one))
@@ -163,8 +190,16 @@ def _plate(
                 store(seen, (3 * j + 2) * LANES, value2)
                 n = n + holds
                 store(apart, j * LANES, where_above(holds, nothing, distance, broadcast(far)))
+                store(bright, j * LANES, where_above(holds, nothing, value0 + value1 + value2, broadcast(far)))
+            none, middle = broadcast(nothing), whole(n * half)
+            for q in range(3):
+                store(found, (5 + q) * room + first, none)
+            for j in range(J):
+                here = where_above(n, nothing, _has_rank(bright, J, j, middle), none)
+                for q in range(3):
+                    at = (5 + q) * room + first
+                    store(found, at, where_above(here, nothing, load(seen, (3 * j + q) * LANES), load(found, at)))
             red, green, blue, scatter = average_similar(seen, apart, J, n, agreeing)
-            none = broadcast(nothing)
             store(found, first, where_above(n, nothing, red, none))
             store(found, room + first, where_above(n, nothing, green, none))
             store(found, 2 * room + first, where_above(n, nothing, blue, none))
@@ -172,7 +207,7 @@ def _plate(
             store(found, 4 * room + first, n)
         for x in range(W):
             for q in range(3):
-                plate[y, x, q] = found[q * room + x]
+                similar[y, x, q], median[y, x, q] = found[q * room + x], found[(5 + q) * room + x]
             spread[y, x], count[y, x] = found[3 * room + x], np.uint8(found[4 * room + x])
 
 
@@ -250,3 +285,11 @@ def difference(frame: np.ndarray, plate: np.ndarray, spread: np.ndarray) -> np.n
     slope = sum((cv2.Sobel(smooth, cv2.CV_32F, *axes, scale=1 / 8) ** 2).mean(-1) for axes in ((1, 0), (0, 1)))
     steepest = cv2.dilate(slope, np.ones((3, 3), np.uint8))
     return np.sqrt(squared / (NOISE_LEVELS**2 + SHIFT_PIXELS**2 * steepest + spread)).astype(np.float32)
+
+
+def compare_light(frame: np.ndarray, plate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``brightness`` and ``tint`` of ``PlateComparison`` of a frame, each [H, W]."""
+    side = (LIGHT_SIDE, LIGHT_SIDE)
+    ours, theirs = (cv2.blur(image.astype(np.float32), side) + np.float32(NOISE_LEVELS) for image in (frame, plate))
+    ratio = np.log(ours / theirs)
+    return ratio.mean(-1), ratio.max(-1) - ratio.min(-1)

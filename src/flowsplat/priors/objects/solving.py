@@ -132,6 +132,10 @@ def solve_object(
     guess = float(np.median((log_billboards - found.log_depth)[seen]))
     at_ground = feet.log_depth - found.log_depth
     stands = contact_cue(at_ground, feet.visible, feet.frames)
+    if stands is not None and not found.bends:
+        # What is deep, and its shadow, touches the ground before its middle: its own points tell by how much.
+        touched = _at_feet(np.where(feet.visible, at_ground, np.nan), np.flatnonzero(feet.visible), found, tracks, feet, front)
+        stands = contact_cue(touched, feet.visible, feet.frames) or stands
     bounces = _bounces(found, tracks, feet, ground, float(np.exp(guess)), front) if stands is None else None
     if feet.is_supposed(found.log_depth):  # ground that is not seen may drop: it says less
         stands, bounces = (None if cue is None else unsurer(cue) for cue in (stands, bounces))
