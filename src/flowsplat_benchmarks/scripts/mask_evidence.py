@@ -36,13 +36,13 @@ from flowsplat.scenes import Scene
 from flowsplat_benchmarks.scripts.identity import WORLDS, prepare_scene
 
 TUNED = ("rig/street", "rig/market", "rig/workshop", "rig/garden")
-AROUND = 0.05
+REST_REACH = 0.05
 """Share of the long side round an object within which what rests is counted. Chosen by eye."""
 MIN_FOUND_SHARE = 0.2
 """Share of an object that motion alone must find for it to be counted. Chosen by eye."""
-EVERY = 2
+FRAME_STRIDE = 2
 """Frames that are counted: every so many."""
-SMOOTHING, RARE = 0.6, 1e-3
+COUNT_SMOOTHING, RARE = 0.6, 1e-3
 """Of counts: bins over which they are smoothed, and the share of all, spread over all bins, that is added. Chosen by eye."""
 MIN_OBJECT_PIXELS = 150
 """Of an object in a frame, below which its feet are not measured. Chosen by eye."""
@@ -98,7 +98,7 @@ def choose_counted(true: np.ndarray, rough: np.ndarray) -> np.ndarray:
     pixels, hits = np.bincount(true.ravel(), minlength=256), np.bincount(true[rough], minlength=256)
     found = (hits >= MIN_FOUND_SHARE * pixels) & (pixels > 0)
     found[0] = False
-    reach = round(AROUND * max(true.shape[1:]))
+    reach = round(REST_REACH * max(true.shape[1:]))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     moves = found[true].astype(np.uint8)
     near = np.stack([cv2.dilate(mask, disc) for mask in moves])
@@ -108,7 +108,7 @@ def choose_counted(true: np.ndarray, rough: np.ndarray) -> np.ndarray:
 def count_cues(known: Known) -> Counts:
     """All but the color's."""
     counts = {name: np.zeros((2, *(len(knots) for knots in axes))) for name, axes in AXES.items() if name != "color"}
-    for (found, motion), counted in list(zip(known.cues, known.counted, strict=True))[::EVERY]:
+    for (found, motion), counted in list(zip(known.cues, known.counted, strict=True))[::FRAME_STRIDE]:
         for which in (0, 1):
             inside = counted == which + 1
             beside = inside & (found.similar >= 0)
@@ -126,7 +126,7 @@ def count_colors(known: Known, tables: Tables) -> Counts:
     colors = learn_colors(known.clip, evidence, known.motion)
     if colors is not None:
         scene = known.clip.scene
-        for k in range(0, len(evidence), EVERY):
+        for k in range(0, len(evidence), FRAME_STRIDE):
             color = look_up(colors, scene.frame(scene.train_frames[k]))
             for which in (0, 1):
                 inside = known.counted[k] == which + 1
@@ -151,7 +151,7 @@ def compute_log_odds(counts: Iterable[np.ndarray]) -> np.ndarray:
     shares = []
     for which in (0, 1):
         total = sum(count[which] / count[which].sum() for count in counts if count[which].sum() > 0)
-        smooth = gaussian_filter(total / np.sum(total), SMOOTHING, mode="nearest")
+        smooth = gaussian_filter(total / np.sum(total), COUNT_SMOOTHING, mode="nearest")
         shares.append(smooth + RARE / smooth.size)
     return np.asarray(np.log2(shares[1] / shares[0]))
 
