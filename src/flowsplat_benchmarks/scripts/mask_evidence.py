@@ -146,12 +146,17 @@ def add(counts: np.ndarray, axes: Sequence[Sequence[float]], *values: np.ndarray
     np.add.at(counts, tuple(np.searchsorted(each, x.astype(float)) for each, x in zip(between, values, strict=True)), 1)
 
 
-def compute_log_odds(counts: Iterable[np.ndarray]) -> np.ndarray:
-    """Return logarithms to base 2 of how much more often what moves is in a bin, from counts [2, ...] of scenes of equal weight."""
+def compute_log_odds(counts: Sequence[np.ndarray]) -> np.ndarray:
+    """Return logarithms to base 2 of how much more often what moves is in a bin, from counts [2, ...] of scenes of equal weight.
+
+    Where nothing that moves, or nothing that rests, was counted, they are 0.
+    """
     shares = []
     for which in (0, 1):
-        total = sum(count[which] / count[which].sum() for count in counts if count[which].sum() > 0)
-        smooth = gaussian_filter(total / np.sum(total), COUNT_SMOOTHING, mode="nearest")
+        of_scenes = [count[which] / count[which].sum() for count in counts if count[which].any()]
+        if not of_scenes:
+            return np.zeros(counts[0].shape[1:])
+        smooth = gaussian_filter(np.mean(of_scenes, 0), COUNT_SMOOTHING, mode="nearest")
         shares.append(smooth + RARE / smooth.size)
     return np.asarray(np.log2(shares[1] / shares[0]))
 
