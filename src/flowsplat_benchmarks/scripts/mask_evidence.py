@@ -1,6 +1,6 @@
 """How often pixels that move look like something, and how often those that rest: the tables by which masks are cut, counted.
 
-    python -m flowsplat_benchmarks.scripts.mask_evidence OUT DATA_ROOT            # prepares some 70 scenes once; then ten minutes
+    python -m flowsplat_benchmarks.scripts.mask_evidence OUT DATA_ROOT            # prepares some 70 scenes once; then five minutes
     python -m flowsplat_benchmarks.scripts.mask_evidence OUT DATA_ROOT --write    # also makes the tables the package's own
 
 Counted on random worlds of low seeds and on the rendered scenes under ``DATA_ROOT``, every one with the same weight, at pixels of
@@ -31,7 +31,7 @@ from flowsplat.priors.masks.background_plate import PlateComparison
 from flowsplat.priors.masks.colors import look_up
 from flowsplat.priors.masks.evidence import AXES, TABLES, UNEXPLAINED, Tables, weigh_plates
 from flowsplat.priors.masks.motion import motion_evidence
-from flowsplat.priors.masks.stage import compare_plates, cut_masks, learn_colors, write_rough_masks
+from flowsplat.priors.masks.stage import compare_plates, cut_masks, learn_colors, weigh_colors, write_rough_masks
 from flowsplat.scenes import Scene
 from flowsplat_benchmarks.scripts.identity import WORLDS, prepare_scene
 
@@ -80,7 +80,7 @@ def read_known(scene: Scene, true_mask: Callable[[int], np.ndarray]) -> Known:
     try:
         write_rough_masks(clip, motion)
         rough = np.stack([scene.mask(i) > 0 for i in frames])
-        cues = [halve(*each) for each in compare_plates(clip, motion)]
+        cues = [to_half_precision(*each) for each in compare_plates(clip, motion)]
     finally:
         for i, mask in zip(frames, before, strict=True):
             scene.write_mask(i, mask)
@@ -88,7 +88,7 @@ def read_known(scene: Scene, true_mask: Callable[[int], np.ndarray]) -> Known:
     return Known(clip, motion, cues, true, choose_counted(true, rough), np.stack(before) > 0)
 
 
-def halve(found: PlateComparison, motion: np.ndarray) -> tuple[PlateComparison, np.ndarray]:
+def to_half_precision(found: PlateComparison, motion: np.ndarray) -> tuple[PlateComparison, np.ndarray]:
     """Return cues as float16: all frames of all scenes stay in memory."""
     return PlateComparison(*(values.astype(np.float16) for values in vars(found).values())), motion.astype(np.float16)
 
@@ -171,12 +171,7 @@ def count_tables(scenes: Mapping[str, Known]) -> Tables:
 
 def cut(known: Known, tables: Tables) -> np.ndarray:
     """Return the masks [T, H, W] bool that these tables cut."""
-    scene = known.clip.scene
-    evidence = [weigh(tables, *cues) for cues in known.cues]
-    colors = learn_colors(known.clip, evidence, known.motion)
-    if colors is not None:
-        for k, i in enumerate(scene.train_frames):
-            evidence[k] = tables.look_up("color", evidence[k], look_up(colors, scene.frame(i))).astype(np.float16)
+    evidence = weigh_colors(known.clip, tables, [weigh(tables, *cues) for cues in known.cues], known.motion)
     return np.stack(cut_masks(known.clip, evidence, known.motion)) > 0
 
 
@@ -219,6 +214,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--write", action="store_true", help="make the tables the package's own")
     parser.add_argument("--only-prepared", action="store_true", help="leave out the worlds that OUT does not hold yet")
     options = parser.parse_args(arguments)
+    missing = [name for name in TUNED if not (options.root / name).is_dir()]
+    if missing:
+        parser.error(f"{options.root} has no {', '.join(missing)}")
     counted, others = ([f"{kind}-{seed}" for kind, seeds in WORLDS.items() for seed in seeds[k]] for k in range(2))
     scenes: dict[str, Known] = {}
     for name in track([*TUNED, *counted, *others], "Scenes"):

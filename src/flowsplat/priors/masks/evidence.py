@@ -4,8 +4,8 @@ Evidence is the logarithm of how much more often moving pixels look like this th
 truth is known.
 
 Three counts, one after the other: how the pixel differs from its plates, together with what the matches say; how its light differs
-from the plate's, where the plate does not explain it (a shadow only darkens); and both together with its color. Cues that speak of
-the same thing are so never counted twice.
+from the plate's, where the plate does not explain it (a shadow only darkens); and both together with its color: what the first two
+count twice is set right there.
 """
 
 from __future__ import annotations
