@@ -106,8 +106,8 @@ def choose_counted(true: np.ndarray, rough: np.ndarray) -> np.ndarray:
 
 
 def count_cues(known: Known) -> Counts:
-    """All but the color's."""
-    counts = {name: np.zeros((2, *(len(knots) for knots in axes))) for name, axes in AXES.items() if name != "color"}
+    """All but those of colors."""
+    counts = {name: np.zeros((2, *(len(knots) for knots in AXES[name]))) for name in ("plates", "motion", "light")}
     for (found, motion), counted in list(zip(known.cues, known.counted, strict=True))[::FRAME_STRIDE]:
         for which in (0, 1):
             inside = counted == which + 1
@@ -120,18 +120,20 @@ def count_cues(known: Known) -> Counts:
 
 
 def count_colors(known: Known, tables: Tables) -> Counts:
-    """That of the color, for what the others say together."""
-    counts = np.zeros((2, *(len(knots) for knots in AXES["color"])))
+    """Those of colors, for what the others say together."""
+    counts = {name: np.zeros((2, *(len(knots) for knots in AXES[name]))) for name in ("color", "color without plate")}
     evidence = [weigh(tables, *cues) for cues in known.cues]
     colors = learn_colors(known.clip, evidence, known.motion)
     if colors is not None:
         scene = known.clip.scene
         for k in range(0, len(evidence), FRAME_STRIDE):
             color = look_up(colors, scene.frame(scene.train_frames[k]))
-            for which in (0, 1):
-                inside = known.counted[k] == which + 1
-                add(counts[which], AXES["color"], evidence[k][inside], color[inside])
-    return {"color": counts}
+            has_plate = known.cues[k][0].similar >= 0
+            for name, where in (("color", has_plate), ("color without plate", ~has_plate)):
+                for which in (0, 1):
+                    inside = where & (known.counted[k] == which + 1)
+                    add(counts[name][which], AXES[name], evidence[k][inside], color[inside])
+    return counts
 
 
 def weigh(tables: Tables, found: PlateComparison, motion: np.ndarray) -> np.ndarray:
@@ -163,15 +165,20 @@ def compute_log_odds(counts: Sequence[np.ndarray]) -> np.ndarray:
 
 def count_tables(scenes: Mapping[str, Known]) -> Tables:
     """The tables of some scenes."""
-    counts = [count_cues(known) for known in scenes.values()]
-    log_odds = {name: compute_log_odds([count[name] for count in counts]).astype(np.float32) for name in AXES if name != "color"}
-    colors = [count_colors(known, Tables(log_odds)) for known in track(scenes.values(), "Colors")]
-    return Tables(log_odds | {"color": compute_log_odds([count["color"] for count in colors]).astype(np.float32)})
+    cues = Tables(sum_counts([count_cues(known) for known in scenes.values()]))
+    colors = sum_counts([count_colors(known, cues) for known in track(scenes.values(), "Colors")])
+    return Tables({**cues.log_odds, **colors})
+
+
+def sum_counts(of_scenes: Sequence[Counts]) -> Counts:
+    """Return the logarithms of each table, from the counts of each scene."""
+    return {name: compute_log_odds([counts[name] for counts in of_scenes]).astype(np.float32) for name in of_scenes[0]}
 
 
 def cut(known: Known, tables: Tables) -> np.ndarray:
     """Return the masks [T, H, W] bool that these tables cut."""
-    evidence = weigh_colors(known.clip, tables, [weigh(tables, *cues) for cues in known.cues], known.motion)
+    has_plate = [found.similar >= 0 for found, _ in known.cues]
+    evidence = weigh_colors(known.clip, tables, [weigh(tables, *cues) for cues in known.cues], has_plate, known.motion)
     return np.stack(cut_masks(known.clip, evidence, known.motion)) > 0
 
 

@@ -5,7 +5,7 @@ truth is known.
 
 Three counts, one after the other: how the pixel differs from its plates, together with what the matches say; how its light differs
 from the plate's, where the plate does not explain it (a shadow only darkens); and both together with its color: what the first two
-count twice is set right there.
+count twice is set right there. Where there is no plate the matches and the color are counted by themselves.
 """
 
 from __future__ import annotations
@@ -28,15 +28,18 @@ TABLES = Path(__file__).with_name("evidence.json")
 
 RESIDUAL_KNOTS = (0.15, 0.4, 0.6, 0.85, 1.2, 1.7, 2.4, 3.4, 5.0, 7.5, 11.0)
 MOTION_KNOTS = (-14.0, -10.0, -6.0, -3.0, -1.0, 1.0, 3.0, 6.0, 10.0, 14.0)
+SUM_KNOTS = (-9.0, -7.0, -5.0, -3.5, -2.0, -1.0, 0.0, 1.0, 2.0, 3.5, 5.0, 7.0, 9.0)
+COLOR_KNOTS = (-3.7, -2.2, -1.0, 0.0, 1.0, 2.2, 3.7)
 AXES: dict[str, tuple[Sequence[float], ...]] = {
     "plates": (RESIDUAL_KNOTS[1::2], RESIDUAL_KNOTS, MOTION_KNOTS),
     "motion": (MOTION_KNOTS,),
     "light": ((-2.2, -1.8, -1.4, -1.05, -0.75, -0.45, -0.15, 0.15, 0.5), (0.03, 0.09, 0.16, 0.27, 0.47, 0.8, 1.3)),
-    "color": ((-9.0, -7.0, -5.0, -3.5, -2.0, -1.0, 0.0, 1.0, 2.0, 3.5, 5.0, 7.0, 9.0), (-3.7, -2.2, -1.0, 0.0, 1.0, 2.2, 3.7)),
+    "color": (SUM_KNOTS, COLOR_KNOTS),
+    "color without plate": (SUM_KNOTS, COLOR_KNOTS),
 }
 """Where each table is known, between which it is linear: differences from the similar and from the middle plate in multiples of
 their noise, and summed motion; summed motion where there is no plate; brightness and tint; the sum of these, and the logarithm to
-base 2 of how much more often objects have the color than what is round them."""
+base 2 of how much more often objects have the color than what is round them, with a plate and without."""
 
 UNEXPLAINED = (1.0, 1.8)
 """Multiples of its noise by which a pixel differs from its middle plate, between which the light begins to tell. Chosen by eye."""
@@ -58,6 +61,13 @@ def weigh_plates(tables: Tables, found: PlateComparison, motion: np.ndarray) -> 
     """Return log odds [H, W] float32 that a pixel moves, from its plates, where it has some, and from its motion [H, W]."""
     beside = tables.look_up("plates", found.similar, found.median, motion) + weigh_light(tables, found)
     return np.where(found.similar >= 0, beside, tables.look_up("motion", motion))
+
+
+def weigh_color(tables: Tables, evidence: np.ndarray, color: np.ndarray, has_plate: np.ndarray) -> np.ndarray:
+    """Return log odds [H, W] float32 from those of plates and motion, from how much likelier objects have the color, both [H, W],
+    and from where there is a plate, [H, W] bool."""
+    both = tables.look_up("color", evidence, color), tables.look_up("color without plate", evidence, color)
+    return np.where(has_plate, *both)
 
 
 def weigh_light(tables: Tables, found: PlateComparison) -> np.ndarray:

@@ -20,7 +20,7 @@ from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.masks.background_plate import CleanPlate, PlateComparison
 from flowsplat.priors.masks.colors import ColorModel, look_up
-from flowsplat.priors.masks.evidence import Tables, read_tables, weigh_plates
+from flowsplat.priors.masks.evidence import Tables, read_tables, weigh_color, weigh_plates
 from flowsplat.priors.masks.motion import choose_weighing, enlarge, motion_evidence, parts, propagate, rough_cut
 from flowsplat.priors.masks.numbers import number_objects
 from flowsplat.scenes import Scene
@@ -97,19 +97,24 @@ def write_rough_masks(clip: MatchedClip, motion: list[np.ndarray], shown: Sequen
 def _compute_own_evidence(clip: MatchedClip, motion: list[np.ndarray]) -> list[np.ndarray]:
     """Return [H, W] float16 of every training frame by itself: its plates, matches and colors."""
     tables = read_tables()
-    return weigh_colors(
-        clip, tables, [weigh_plates(tables, *cues).astype(np.float16) for cues in compare_plates(clip, motion)], motion
-    )
+    evidence, has_plate = [], []
+    for found, moving in compare_plates(clip, motion):
+        evidence.append(weigh_plates(tables, found, moving).astype(np.float16))
+        has_plate.append(found.similar >= 0)
+    return weigh_colors(clip, tables, evidence, has_plate, motion)
 
 
-def weigh_colors(clip: MatchedClip, tables: Tables, evidence: list[np.ndarray], motion: list[np.ndarray]) -> list[np.ndarray]:
+def weigh_colors(
+    clip: MatchedClip, tables: Tables, evidence: list[np.ndarray], has_plate: list[np.ndarray], motion: list[np.ndarray]
+) -> list[np.ndarray]:
     """Return evidence [H, W] float16 of every training frame together with what its colors say."""
     colors = learn_colors(clip, evidence, motion)
     if colors is None:
         return evidence
     frames = map(clip.scene.frame, clip.scene.train_frames)
     return [
-        tables.look_up("color", own, look_up(colors, frame)).astype(np.float16) for own, frame in zip(evidence, frames, strict=True)
+        weigh_color(tables, own, look_up(colors, frame), seen).astype(np.float16)
+        for own, frame, seen in zip(evidence, frames, has_plate, strict=True)
     ]
 
 
