@@ -15,7 +15,7 @@ from flowsplat.priors.background.matched_clip import MAX_REST_NOISES, MatchedCli
 from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.flow import flow_stage
 from flowsplat.priors.masks import background_plate, mask_stage
-from flowsplat.priors.masks.background_plate import CleanPlate, PlateComparison, compare_light
+from flowsplat.priors.masks.background_plate import CleanPlate, PlateComparison, compare_detail, compare_light
 from flowsplat.priors.masks.colors import ColorModel, look_up
 from flowsplat.priors.masks.evidence import AXES, make_tables, read_tables, weigh_plates
 from flowsplat.priors.masks.motion import MIN_RESTING_MOTION, RESTING_MOTION_RATIO, compute_own_evidence, estimate_resting_motion
@@ -209,17 +209,29 @@ def test_light_is_compared_by_brightness_and_tint():
     np.testing.assert_allclose(tint, np.log(126 / 66), rtol=1e-5)
 
 
+def test_detail_stays_in_a_shadow_and_not_on_an_object():
+    rng = np.random.default_rng(0)
+    noise = (cv2.GaussianBlur(rng.normal(0, 0.5, (60, 60)), (0, 0), 1.5) for _ in range(2))
+    plate, other = (np.repeat(np.clip(120 + 400 * each, 5, 250)[..., None], 3, 2) for each in noise)
+    assert compare_detail((0.5 * plate).astype(np.uint8), plate).min() > 0.9
+    assert np.abs(compare_detail(other.astype(np.uint8), plate)).mean() < 0.4
+    flat = np.full((60, 60, 3), 30, np.uint8)  # black under a car: nothing tells
+    np.testing.assert_allclose(compare_detail(flat, plate), 0, atol=1e-3)
+
+
 def test_evidence_grows_with_what_differs_and_a_shadow_counts_less_than_another_color():
     tables, shape = read_tables(), (1, 12)
     off, zero = np.linspace(0.2, 8, 12, dtype=np.float32).reshape(shape), np.zeros(shape, np.float32)
-    evidence = weigh_plates(tables, PlateComparison(off, off, zero, zero + 0.5), zero)
+    evidence = weigh_plates(tables, PlateComparison(off, off, zero, zero + 0.5, zero), zero)
     assert (np.diff(evidence) > -0.1).all()
     assert evidence[0, 0] < -2
     assert evidence[0, -1] > 4
     high, dark = np.full(shape, 4, np.float32), np.full(shape, np.log(0.6), np.float32)
-    shadow = weigh_plates(tables, PlateComparison(high, high, dark, zero), zero)
-    colored = weigh_plates(tables, PlateComparison(high, high, dark, zero + 0.6), zero)
+    shadow = weigh_plates(tables, PlateComparison(high, high, dark, zero, zero), zero)
+    colored = weigh_plates(tables, PlateComparison(high, high, dark, zero + 0.6, zero), zero)
     assert (shadow + 2 < colored).all()
+    on_its_ground = weigh_plates(tables, PlateComparison(high, high, dark, zero, zero + 0.9), zero)
+    assert (on_its_ground + 1 < shadow).all()
 
 
 def test_tables_of_other_knots_are_refused():

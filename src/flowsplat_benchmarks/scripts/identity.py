@@ -29,7 +29,7 @@ from flowsplat.priors.flow import flow_stage
 from flowsplat.priors.masks import mask_stage
 from flowsplat.priors.objects.identity import MaskedTracks
 from flowsplat.priors.objects.identity.clusters import FEATURES, cluster, find_fragments, make_trajectories
-from flowsplat.priors.objects.identity.cost import WEIGHTS, Cost, Costs, expand
+from flowsplat.priors.objects.identity.cost import WEIGHTS, Cost, Costs, expand, make_costs, read_weights
 from flowsplat.priors.objects.identity.fragments import compute_fragment_features
 from flowsplat.priors.objects.identity.pairs import Trajectories, compute_pair_features, list_candidate_pairs, thin_tracks
 from flowsplat.priors.objects.identity.renumber import track_colors
@@ -247,7 +247,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     worlds = {name: scenes[name] for name in fit_names if name in scenes}
     tuned = {name: scenes[name] for name in TUNED if name in scenes}
     others = {name: scenes[name] for name in other_names if name in scenes}
-    costs = {"worlds alone": fit(worlds, others), "worlds and tuned scenes": fit(worlds | tuned, others)}
+    costs = {
+        "the package's own until now": make_costs(read_weights(), FEATURES),
+        "fitted on worlds alone": fit(worlds, others),
+        "fitted on worlds and tuned scenes": fit(worlds | tuned, others),
+    }
     scores = {name: {each: score(known, cost) for each, known in scenes.items()} for name, cost in costs.items()}
     scores["best label of each track"] = {each: idf1(known.label, known) for each, known in scenes.items()}
     groups = {name: [name] for name in tuned}
@@ -255,13 +259,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for which, group in (("fitted", worlds), ("not fitted", others)):
             found = [name for name in group if name.startswith(kind)]
             groups |= {f"{kind}, {which} ({len(found)})": found} if found else {}
-    lines = ["| IDF1 at tracks, fitted on | " + " | ".join(groups) + " |", "| --- |" + " --- |" * len(groups)]
+    lines = ["| IDF1 at tracks | " + " | ".join(groups) + " |", "| --- |" + " --- |" * len(groups)]
     for name, values in scores.items():
         cells = [f"{np.mean([values[each] for each in group]):.3f}" for group in groups.values()]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     write_text(options.out / "identity.md", "\n".join(lines) + "\n")
     report("\n".join(lines))
-    values = plain(costs["worlds and tuned scenes"], [*worlds, *tuned])
+    values = plain(costs["fitted on worlds and tuned scenes"], [*worlds, *tuned])
     write_json(WEIGHTS if options.write else options.out / WEIGHTS.name, values)
 
 

@@ -115,7 +115,7 @@ def count_cues(known: Known) -> Counts:
             lit = beside & (found.median > np.mean(UNEXPLAINED))
             add(counts["plates"][which], AXES["plates"], found.similar[beside], found.median[beside], motion[beside])
             add(counts["motion"][which], AXES["motion"], motion[inside & ~beside])
-            add(counts["light"][which], AXES["light"], found.brightness[lit], found.tint[lit])
+            add(counts["light"][which], AXES["light"], found.brightness[lit], found.tint[lit], found.detail[lit])
     return counts
 
 

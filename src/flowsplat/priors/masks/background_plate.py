@@ -66,8 +66,9 @@ NOISE_LEVELS, SHIFT_PIXELS = 6.0, 0.5
 UNSEEN_DIFFERENCE = 1e30
 """Squared difference of what is not seen."""
 
-LIGHT_SIDE = 5
-"""Side in pixels of the square whose mean color is compared with its plate's. Chosen by eye."""
+LIGHT_SIDE, DETAIL_SIDE, DETAIL_NOISE = 5, 9, 1.5
+"""Sides in pixels of the squares whose mean color, and whose detail, are compared with the plate's, and the gray levels that detail
+has everywhere. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -79,12 +80,14 @@ class PlateComparison:
         median: the same for the middle plate.
         brightness: natural logarithm of its brightness over that of the middle plate, the mean of red, green and blue.
         tint: by how much the largest of the three is above the smallest: a shadow leaves them about equal.
+        detail: correlation of its detail with that of the middle plate, -1 to 1: however dark a shadow is, it leaves the detail.
     """
 
     similar: np.ndarray
     median: np.ndarray
     brightness: np.ndarray
     tint: np.ndarray
+    detail: np.ndarray
 
 
 class CleanPlate:
@@ -107,7 +110,7 @@ class CleanPlate:
         others = [j for j in around if 0 <= j < len(clip) and clip.continuity.are_joined(k, j)]
         if len(others) < MIN_VIEWS:
             unknown = np.full(frame.shape[:2], -1, np.float32)
-            return PlateComparison(unknown, unknown, 0 * unknown, 0 * unknown)
+            return PlateComparison(unknown, unknown, 0 * unknown, 0 * unknown, 0 * unknown)
         inverse = self._background.behind(k)
         depth = 1 / np.maximum(upsample(inverse, frame, clip.scene.width, clip.scene.height), 1e-3 * float(np.median(inverse)))
         similar, median = np.empty((2, *frame.shape), np.float32)
@@ -121,7 +124,8 @@ class CleanPlate:
         spread *= len(clip) <= FEW_FRAMES
         known = count >= MIN_VIEWS
         off = [np.where(known, difference(frame, plate, spread), -1).astype(np.float32) for plate in (similar, median)]
-        return PlateComparison(*off, *(np.where(known, told, 0) for told in compare_light(frame, median)))
+        light = *compare_light(frame, median), compare_detail(frame, median)
+        return PlateComparison(*off, *(np.where(known, told, 0) for told in light))
 
 
 def _poses(camera: Camera, others: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
@@ -293,3 +297,15 @@ def compare_light(frame: np.ndarray, plate: np.ndarray) -> tuple[np.ndarray, np.
     ours, theirs = (cv2.blur(image.astype(np.float32), side) + np.float32(NOISE_LEVELS) for image in (frame, plate))
     ratio = np.log(ours / theirs)
     return ratio.mean(-1), ratio.max(-1) - ratio.min(-1)
+
+
+def compare_detail(frame: np.ndarray, plate: np.ndarray) -> np.ndarray:
+    """Return ``detail`` of ``PlateComparison`` of a frame, [H, W] float32."""
+    ours, theirs = (cv2.GaussianBlur(image.astype(np.float32).mean(-1), (0, 0), 0.7) for image in (frame, plate))
+
+    def covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        side = (DETAIL_SIDE, DETAIL_SIDE)
+        return np.asarray(cv2.blur(a * b, side) - cv2.blur(a, side) * cv2.blur(b, side))
+
+    energy = [np.maximum(covariance(image, image), 0) + np.float32(DETAIL_NOISE**2) for image in (ours, theirs)]
+    return covariance(ours, theirs) / np.sqrt(energy[0] * energy[1])

@@ -4,8 +4,9 @@ Evidence is the logarithm of how much more often moving pixels look like this th
 truth is known.
 
 Three counts, one after the other: how the pixel differs from its plates, together with what the matches say; how its light differs
-from the plate's, where the plate does not explain it (a shadow only darkens); and both together with its color: what the first two
-count twice is set right there. Where there is no plate the matches and the color are counted by themselves.
+from the plate's, where the plate does not explain it (a shadow only darkens, and leaves the detail); and both together with its
+color: what the first two count twice is set right there. Where there is no plate the matches and the color are counted by
+themselves.
 """
 
 from __future__ import annotations
@@ -33,13 +34,17 @@ COLOR_KNOTS = (-3.7, -2.2, -1.0, 0.0, 1.0, 2.2, 3.7)
 AXES: dict[str, tuple[Sequence[float], ...]] = {
     "plates": (RESIDUAL_KNOTS[1::2], RESIDUAL_KNOTS, MOTION_KNOTS),
     "motion": (MOTION_KNOTS,),
-    "light": ((-2.2, -1.8, -1.4, -1.05, -0.75, -0.45, -0.15, 0.15, 0.5), (0.03, 0.09, 0.16, 0.27, 0.47, 0.8, 1.3)),
+    "light": (
+        (-2.2, -1.8, -1.4, -1.05, -0.75, -0.45, -0.15, 0.15, 0.5),
+        (0.03, 0.09, 0.16, 0.27, 0.47, 0.8, 1.3),
+        (-0.1, 0.15, 0.4, 0.6, 0.75, 0.9),
+    ),
     "color": (SUM_KNOTS, COLOR_KNOTS),
     "color without plate": (SUM_KNOTS, COLOR_KNOTS),
 }
 """Where each table is known, between which it is linear: differences from the similar and from the middle plate in multiples of
-their noise, and summed motion; summed motion where there is no plate; brightness and tint; the sum of these, and the logarithm to
-base 2 of how much more often objects have the color than what is round them, with a plate and without."""
+their noise, and summed motion; summed motion where there is no plate; brightness, tint and detail; the sum of these, and the
+logarithm to base 2 of how much more often objects have the color than what is round them, with a plate and without."""
 
 UNEXPLAINED = (1.0, 1.8)
 """Multiples of its noise by which a pixel differs from its middle plate, between which the light begins to tell. Chosen by eye."""
@@ -73,7 +78,7 @@ def weigh_color(tables: Tables, evidence: np.ndarray, color: np.ndarray, has_pla
 def weigh_light(tables: Tables, found: PlateComparison) -> np.ndarray:
     """Return what the light adds, [H, W] float32."""
     share = np.interp(found.median, UNEXPLAINED, (0, 1)).astype(np.float32)
-    return share * tables.look_up("light", found.brightness, found.tint)
+    return share * tables.look_up("light", found.brightness, found.tint, found.detail)
 
 
 def find_place(value: np.ndarray, knots: Sequence[float]) -> np.ndarray:

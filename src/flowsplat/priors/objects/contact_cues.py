@@ -11,10 +11,11 @@ from scipy.ndimage import gaussian_filter1d
 from flowsplat.priors.objects.contact import Bound
 from flowsplat.priors.objects.distance import Cue
 
-MIN_CUE_SIGMA = {"contact": 0.025, "bounce": 0.03}
-"""Standard deviation of ln distance that each has at least."""
-CUE_ERROR_RATE = {"contact": 0.07, "bounce": 0.1}
-"""Chance that it has nothing to do with the truth."""
+CONTACT_SIGMA, CONTACT_ERROR_RATE = 0.06, 0.1
+"""Standard deviation of ln distance that contact with the ground has at least, and the chance that it has nothing to do with the
+truth: most likely for 17 objects of worlds below 900 and rendered scenes (docs/results.md, "Masks of what moves")."""
+BOUNCE_ERROR_RATE = 0.1
+"""Chance that a bounce has nothing to do with the truth. Chosen by eye."""
 MAX_BOUND_RANGE, BOUND_LOW_PERCENTILE, BOUND_HIGH_PERCENTILE = 0.1, 10, 70
 """Range of the bounds between two percentiles over time up to which an object stands on the ground. Chosen on random worlds of
 seeds 0 to 14 (docs/results.md)."""
@@ -25,16 +26,9 @@ MIN_BOUNDS = 8
 """Frames with a bound below which an object is not said to stand. Chosen by eye."""
 STEP_FRAMES = 5.0
 """Frames: standard deviation over time of what feet say about a depth trajectory; steps are shorter. Chosen by eye."""
-SUPPOSED_SIGMA, SUPPOSED_WRONG_CHANCE = 0.06, 0.25
-"""What is added to the error of a contact with ground that was not seen, and its chance to be wrong. Chosen by eye."""
-BOUNCE_SPAN = 2
-"""Frames to either side over which the second difference of the bounds is taken. Chosen by eye."""
-MIN_BOUNCE, MIN_BOUNCE_NOISES = 0.1, 4.0
-"""Second difference of the bounds from which a minimum may be a bounce, and how many times their usual spread that must be.
-Chosen by eye."""
-BOUNCE_WIDTH, MAX_BOUNCE_ELSEWHERE = 4, 0.25
-"""So many frames from a bounce the second difference is at most this share of that at it: a smooth minimum is wider.
-Chosen by eye."""
+SUPPOSED_SIGMA, SUPPOSED_ERROR_RATE = 0.06, 0.4
+"""What is added to the error of a contact with ground that was not seen, by eye, and its chance to be wrong: most likely for five
+objects of worlds below 900 (docs/results.md, "Masks of what moves")."""
 THROWN_SIGMA = 0.03
 """Standard deviation of the nearest bound at several bounces; of a single one it is half as much more. Chosen by eye."""
 FOOT_REACH = 0.15
@@ -100,7 +94,7 @@ def contact_cue(bounds: np.ndarray, visible: np.ndarray, frames: int) -> Cue | N
     if unevenness(bounds, visible, frames) > MAX_BOUND_RANGE:
         return None
     low, middle, high = np.percentile(bounds[visible & np.isfinite(bounds)], [BOUND_LOW_PERCENTILE, 35, BOUND_HIGH_PERCENTILE])
-    return Cue(float(middle), float(np.hypot(MIN_CUE_SIGMA["contact"], 0.5 * (high - low))), CUE_ERROR_RATE["contact"])
+    return Cue(float(middle), float(np.hypot(CONTACT_SIGMA, 0.5 * (high - low))), CONTACT_ERROR_RATE)
 
 
 def settle_on_ground(above: np.ndarray, visible: np.ndarray) -> np.ndarray:
@@ -120,7 +114,7 @@ def settle_on_ground(above: np.ndarray, visible: np.ndarray) -> np.ndarray:
 
 def unsurer(cue: Cue) -> Cue:
     """Return the same on ground that was not seen."""
-    return Cue(cue.log_scale, float(np.hypot(cue.sigma, SUPPOSED_SIGMA)), SUPPOSED_WRONG_CHANCE)
+    return Cue(cue.log_scale, float(np.hypot(cue.sigma, SUPPOSED_SIGMA)), SUPPOSED_ERROR_RATE)
 
 
 def make_thrown_cue(bounds: np.ndarray, thrown: np.ndarray) -> Cue | None:
@@ -135,7 +129,7 @@ def make_thrown_cue(bounds: np.ndarray, thrown: np.ndarray) -> Cue | None:
     levels = [float(np.nanmin(around)) for k in thrown if np.isfinite(around := bounds[max(k - 1, 0) : k + 2]).any()]
     if not levels:
         return None
-    return Cue(min(levels), THROWN_SIGMA if len(levels) > 1 else 1.5 * THROWN_SIGMA, CUE_ERROR_RATE["bounce"])
+    return Cue(min(levels), THROWN_SIGMA if len(levels) > 1 else 1.5 * THROWN_SIGMA, BOUNCE_ERROR_RATE)
 
 
 def foot_offset(lowest: np.ndarray, front: np.ndarray, pixels: np.ndarray, offsets: np.ndarray, sigma: np.ndarray) -> float:
@@ -155,39 +149,3 @@ def foot_offset(lowest: np.ndarray, front: np.ndarray, pixels: np.ndarray, offse
         return rim
     weight = near / (sigma**2 + 0.01**2)
     return rim + float((weight * offsets).sum() / weight.sum())
-
-
-def bounce_cue(bounds: np.ndarray) -> Cue | None:
-    """That an object touched the ground for moments: its bounds [T] have sharp minima, where it bounced.
-
-    Between bounces what is thrown falls towards the ground ever faster, so the bounds are concave there. What swings or flies
-    past has a smooth minimum.
-    """
-    n, levels = BOUNCE_SPAN, []
-    curved = np.full(len(bounds), np.nan)
-    curved[n:-n] = bounds[2 * n :] - 2 * bounds[n:-n] + bounds[: -2 * n]
-    known = curved[np.isfinite(curved)]
-    if len(known) < MIN_BOUNDS:
-        return None
-    least = max(MIN_BOUNCE, MIN_BOUNCE_NOISES * 1.5 * float(np.median(np.abs(known - np.median(known)))))
-    for k in range(2 * n, len(bounds) - 2 * n):
-        around = curved[max(k - BOUNCE_WIDTH, 0) : k + BOUNCE_WIDTH + 1]
-        if not (np.isfinite(curved[k - n : k + n + 1]).all() and curved[k] >= least and curved[k] >= np.nanmax(around)):
-            continue
-        beyond = np.array([curved[j] for j in (k - BOUNCE_WIDTH, k + BOUNCE_WIDTH) if 0 <= j < len(curved)])
-        if np.isfinite(beyond).any() and np.nanmax(beyond) <= MAX_BOUNCE_ELSEWHERE * curved[k]:
-            # It touched between two frames: where the lines through both flanks meet.
-            left, right = bounds[k - 1] - bounds[k - 2], bounds[k + 2] - bounds[k + 1]
-            if left < 0 < right:
-                meet = np.clip((bounds[k + 1] - right - bounds[k - 1] - left) / (left - right), -1, 1)
-                level = min(bounds[k - 1] + left * (meet + 1), float(bounds[k - 1 : k + 2].min()))
-                levels.append(max(level, float(bounds[k - 1 : k + 2].min()) - 0.05))
-    if not levels:
-        return None
-    middle, spread = float(np.median(levels)), float(np.ptp(levels))
-    if spread > MAX_BOUND_RANGE:
-        return None  # It is the same ground each time.
-    few = len(levels) == 1
-    return Cue(
-        middle, float(np.hypot(0.05 if few else MIN_CUE_SIGMA["bounce"], 0.5 * spread)), 0.2 if few else CUE_ERROR_RATE["bounce"]
-    )

@@ -13,7 +13,6 @@ from flowsplat.priors.objects.contact import Bound, upright_ratio
 from flowsplat.priors.objects.contact_cues import (
     MIN_BOUNDS,
     Feet,
-    bounce_cue,
     contact_cue,
     foot_offset,
     make_thrown_cue,
@@ -159,22 +158,17 @@ def _bounces(
     scale: float,
     front: Callable[[int], np.ndarray],
 ) -> Cue | None:
-    """That an object touched the ground for moments: where its path was thrown up, or where its bounds have sharp minima.
+    """That an object touched the ground for moments: where its path was thrown up.
 
     Args:
         scale: a guess of its distance, as a factor of its depth trajectory.
         front: as ``solve_object``.
     """
+    if found.path is None or ground is None:
+        return None
+    thrown = bounce_frames(found.path, ground.normal, scale)
     touched = np.where(feet.visible, feet.log_depth - found.log_depth, np.nan)
-    thrown = np.zeros(0, int)
-    if found.path is not None and ground is not None:
-        thrown = bounce_frames(found.path, ground.normal, scale)
-    bounces = make_thrown_cue(_at_feet(touched, thrown, found, tracks, feet, front), thrown) or bounce_cue(touched)
-    if bounces is None or len(thrown):
-        return bounces
-    lowest = int(np.nanargmin(touched))
-    lower = _at_feet(touched, [lowest], found, tracks, feet, front)
-    return replace(bounces, log_scale=bounces.log_scale + float((lower - touched)[lowest]))
+    return make_thrown_cue(_at_feet(touched, thrown, found, tracks, feet, front), thrown)
 
 
 def _at_feet(
