@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 CELL_PIXELS = 7.0
 """Pixels of an image whose long side is 480: about one track is taken in each cell of the image at any time."""
-MIN_FRAMES = 4
+MIN_FRAMES = 6
 """Frames of a track that is taken."""
 MAX_TRACKS = 4000
 """Tracks that are taken of a piece of a clip: the square of it is what the multicut needs of memory, 128 MB."""
