@@ -187,9 +187,8 @@ def score(masks: np.ndarray, true: np.ndarray) -> dict[str, float]:
     moves = true > 0
     both, either = int((masks & moves).sum()), int((masks | moves).sum())
     shared, together = map(sum, zip(*feet(masks, true), (0, 0), strict=True))
-    return {
-        "IoU": both / max(either, 1), "outside": 1 - both / max(int(masks.sum()), 1), "feet": shared / max(together, 1),
-    }  # fmt: skip
+    outside = int((masks & ~moves).sum()) / max(int(masks.sum()), 1)
+    return {"IoU": both / max(either, 1), "outside": outside, "feet": shared / max(together, 1)}
 
 
 def feet(masks: np.ndarray, true: np.ndarray) -> Iterator[tuple[int, int]]:

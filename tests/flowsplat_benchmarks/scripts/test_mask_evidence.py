@@ -80,6 +80,7 @@ def test_the_feet_are_the_lowest_tenth():
     true[0, 10:50, 20:40] = 1
     masks = true > 0
     assert score(masks, true) == {"IoU": 1, "outside": 0, "feet": 1}
+    assert score(np.zeros_like(masks), true) == {"IoU": 0, "outside": 0, "feet": 0}
     masks[0, 46:] = False
     found = score(masks, true)
     assert found["IoU"] == pytest.approx(0.9)

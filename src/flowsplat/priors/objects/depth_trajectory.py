@@ -109,8 +109,8 @@ def solve_depth_trajectory(
     """Return the depth trajectory of one object.
 
     Args:
-        log_cards: [T] logarithm of the depth of its billboard, NaN where it is not seen: the depth trajectory where no motion is
-            believed.
+        log_billboards: [T] logarithm of the depth of its billboard, NaN where it is not seen: the depth trajectory where no
+            motion is believed.
         images: to match its points anew in; None: tracks are all there is.
     """
     seen = np.isfinite(log_billboards) & np.isfinite(tracks.middles).all(1)

@@ -119,8 +119,8 @@ def solve_object(
         middles: [T, 2] its middle pixels, NaN where it is not seen.
         bounds: [T] where it would touch the ground.
         cameras: [T].
-        log_cards: [T] logarithm of the depth of its billboard, NaN where it is not seen: a guess, and a depth trajectory where its
-            motion is not believed.
+        log_billboards: [T] logarithm of the depth of its billboard, NaN where it is not seen: a guess, and a depth trajectory
+            where its motion is not believed.
         normal: [3] up.
         front: gives the ``roundness`` [H, W] of its mask in training frame k.
         images: to match its points anew in; None: tracks are all there is.
