@@ -94,6 +94,13 @@ def estimate(positions: np.ndarray, width: float, height: float, focal: float | 
     return replace(other, surrounds=True) if better else found
 
 
+def stand(positions: np.ndarray, width: float, height: float, focal: float | None) -> CameraEstimate:
+    """Return cameras that stand still, whatever the tracks say; for the arguments see ``estimate``."""
+    seen = np.isfinite(positions[..., 0])
+    standing = _solve_standing(from_middle(positions, seen, width, height), seen, focal or USUAL_FOCAL * width)
+    return CameraEstimate("static", standing, [], 0.0)
+
+
 def _share(follows: np.ndarray, rim: np.ndarray) -> float:
     """Return share of the observations on the rim [N, T] that belong to the tracks [N]."""
     return float(rim[follows].sum() / max(int(rim.sum()), 1))

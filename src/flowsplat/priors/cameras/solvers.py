@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from flowsplat.priors.cameras.bundle import BundleObservations
 from flowsplat.priors.cameras.checks import LARGE_ERROR, MIN_STATIC_SHARE
-from flowsplat.priors.cameras.estimate import CameraEstimate, estimate
+from flowsplat.priors.cameras.estimate import CameraEstimate, estimate, stand
 from flowsplat.priors.cameras.pieces import MIN_TRACKS
 from flowsplat.priors.cameras.refinement import best_tracks, from_middle, robust_errors, with_points
 from flowsplat.priors.cameras.selection import on_rim
@@ -103,8 +103,9 @@ class Solved:
 
 
 def solve(
-    positions: np.ndarray, width: float, height: float, focal: float | None, solver: str, frames: Sequence[int] | None = None
-) -> Solved:
+    positions: np.ndarray, width: float, height: float, focal: float | None, solver: str, frames: Sequence[int] | None = None,
+    still: bool = False,
+) -> Solved:  # fmt: skip
     """Return cameras of one piece of a clip.
 
     Args:
@@ -113,12 +114,16 @@ def solve(
         solver: ``own`` (frame after frame), ``global`` (all at once), or ``auto``: the first, and where its cameras look
             bad the second, of which the better is taken.
         frames: their numbers in the clip, where some are left out.
+        still: the images say that the camera stands still: no other is looked for.
     """
     used, kept_back = keep_back(np.isfinite(positions[..., 0]))
 
     judges = positions[kept_back]
     rim = judges[on_rim(judges, width, height).sum(1) > 0.5 * np.isfinite(judges[..., 0]).sum(1)]
     name = "own" if solver == "auto" else solver
+    if still:
+        standing = stand(positions[used], width, height, focal)
+        return Solved(standing, [judge(name, standing, judges, width, height, frames)])
     first = estimate(positions[used], width, height, focal, name)
     judgment = judge(name, first, rim if first.surrounds else judges, width, height, frames)
     if solver != "auto" or not judgment.poor:

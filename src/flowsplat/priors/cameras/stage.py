@@ -18,6 +18,7 @@ from flowsplat.priors.cameras.following import WORKING_SIDE, follow_points
 from flowsplat.priors.cameras.lens import Lens, find_lens
 from flowsplat.priors.cameras.pieces import find_breaks, join, split
 from flowsplat.priors.cameras.solvers import Solved, solve
+from flowsplat.priors.cameras.still import stands_still
 from flowsplat.scenes import Scene
 from flowsplat.scenes.replacing import replace_images
 
@@ -101,6 +102,7 @@ class _Tracks:
     Attributes:
         positions: [N, T, 2] in pixels of the working size; NaN where a point was not seen.
         pieces: the frames of every piece.
+        still: of every piece, whether its images say that the camera stands still.
         blank: frames in which nothing can be followed.
         width: of the images, in pixels of the working size; ``height`` alike.
         unit: pixels of the prepared frames in one of the working size. Thresholds are in pixels of the latter.
@@ -108,6 +110,7 @@ class _Tracks:
 
     positions: np.ndarray
     pieces: list[list[int]]
+    still: list[bool]
     blank: list[int]
     width: float
     height: float
@@ -128,7 +131,10 @@ class _Tracks:
         if lens is not None:
             straight = replace(self, positions=lens.straighten_positions(self.positions))
             return straight.solve(solver, None if focal is None else lens.pinhole)
-        return [solve(self.of_piece(k), self.width, self.height, focal, solver, frames) for k, frames in enumerate(self.pieces)]
+        return [
+            solve(self.of_piece(k), self.width, self.height, focal, solver, frames, still)
+            for k, (frames, still) in enumerate(zip(self.pieces, self.still, strict=True))
+        ]
 
 
 def _follow(scene: Scene) -> _Tracks:
@@ -140,7 +146,8 @@ def _follow(scene: Scene) -> _Tracks:
     positions = _off_objects(scene, followed) / unit
     if not pieces:
         pieces, positions = [list(range(scene.num_frames))], positions[:0]
-    return _Tracks(positions, pieces, blank, scene.width / unit, scene.height / unit, unit)
+    still = [stands_still(scene, frames) for frames in pieces]
+    return _Tracks(positions, pieces, still, blank, scene.width / unit, scene.height / unit, unit)
 
 
 def _description(

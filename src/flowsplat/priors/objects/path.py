@@ -130,7 +130,7 @@ def pivot(path: WorldPath) -> Law:
     x, variance, fit, _ = _fit(path, np.eye(3 * F), np.tile(np.eye(3), (F, 1)), 6.0)
     travel = path.relative + x[0] * path.centers
     rest = _spread(travel + path.turns @ x[1:4]) / max(_spread(travel), 1e-12)
-    return _law(x, variance, fit, rest=rest, lever=float(np.linalg.norm(x[1:4])) / path.size, turned=path.turned)
+    return _law(x, variance, fit, rest=rest, turned=path.turned)
 
 
 def constant_height(path: WorldPath, normal: np.ndarray) -> Law:
