@@ -25,10 +25,10 @@ GRID = (4, 6)
 """Rows and columns of parts of the image, each of which counts the same: edges of a frame round it, or of the hood of a
 car, are the strongest of all and always stay. Chosen by eye."""
 EDGE_SHARE, MIN_SLOPE = 0.1, 1.0
-"""Share of a part's pixels, with the largest slopes, that are its edges, and gray levels a pixel that an edge has at least. Chosen by
-eye."""
+"""Share of a part's pixels, with the largest slopes, that are its edges, and gray levels a pixel that an edge has at least. Chosen
+by eye."""
 MAX_BAR_RANGE, BAR_MARGIN = 8.0, 4
-"""Gray levels within a row or column along the border that is a bar round the picture, and pixels beside it that are left out:
+"""Gray levels within a row or column along the border that is a bar round what is shown, and pixels beside it that are left out:
 the edge of a bar always stays. Chosen by eye."""
 MIN_EDGE_PIXELS = 20
 """Of a part, below which it does not count. Chosen by eye."""
@@ -36,10 +36,10 @@ MIN_PARTS = 6
 """Parts with edges below which they do not tell. Chosen by eye."""
 MAX_SHIFT = 0.35
 """Pixels, across the edge, up to which it has not moved. Chosen by eye."""
-MIN_EDGES_IN_PLACE, MOST_FRAMES = 0.25, 0.9
+MIN_EDGES_IN_PLACE, MIN_FRAME_SHARE = 0.25, 0.9
 """Share of a part's edges that stay in so many of the frames of a camera that stands still."""
 MIN_PARTS_IN_PLACE = 0.3
-"""Share of the parts of which that holds: .43 to 1 of cameras that stand still, 0 to .04 of others (docs/results.md,
+"""Share of the parts of which that holds: .38 to 1 of cameras that stand still, 0 to .04 of others (docs/results.md,
 "Cameras")."""
 
 
@@ -80,7 +80,7 @@ def edges_in_place(images: np.ndarray) -> np.ndarray:
             part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
             edges = slope[part] > max(float(np.quantile(slope[part], 1 - EDGE_SHARE)), MIN_SLOPE)
             if edges.sum() >= MIN_EDGE_PIXELS:
-                shares.append(np.quantile(stays[:, part[0], part[1]][:, edges].mean(1), 1 - MOST_FRAMES))
+                shares.append(np.quantile(stays[:, part[0], part[1]][:, edges].mean(1), 1 - MIN_FRAME_SHARE))
     return np.array(shares)
 
 
