@@ -12,10 +12,12 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import hash_files, ordinary_file
 from flowsplat.common.progress import progress_bar
 from flowsplat.common.run_paths import RunPaths
+from flowsplat.common.spread import spread
 from flowsplat.images.sound import keep_sound
 from flowsplat.scenes.clip import Clip, InputOptions
 from flowsplat.scenes.formats.davis import IMAGES, open_davis, sequence_folders
 from flowsplat.scenes.formats.images import IMAGE_SUFFIXES, list_images, open_images
+from flowsplat.scenes.formats.masks import require_rest
 from flowsplat.scenes.formats.nerfies import is_nerfies, open_nerfies
 from flowsplat.scenes.formats.nvidia import RAW_IMAGES, TARGET, is_nvidia, open_nvidia, target_folder
 from flowsplat.scenes.formats.rig import open_rig
@@ -26,6 +28,8 @@ __all__ = ["InputOptions", "fingerprint", "ingest", "kind_of_input", "open_clip"
 
 CALIBRATED = "calibrated"
 """Method of cameras that came with the input and share the coordinates of its held-out views."""
+CHECKED_MASKS = 24
+"""Given masks that are looked at before any is written. Chosen by eye."""
 SOUND = "sound.flac"
 ALREADY = "{} is a prepared scene already: there is nothing to ingest."
 
@@ -165,6 +169,7 @@ def _write_sound(clip: Clip, scene: Scene) -> str | None:
 
 def _write_masks(clip: Clip, scene: Scene) -> None:
     heldout = set(scene.heldout_frames)
+    require_rest(clip.source, [clip.mask(scene.train_frames[k]) for k in spread(len(scene.train_frames), CHECKED_MASKS)])
     for i in range(scene.num_frames):
         layers = scene.heldout_masks if i in heldout else scene
         if not layers.has_mask(i):

@@ -268,3 +268,48 @@ def test_masks_by_number_or_in_order(scene: Scene, tmp_path: Path, names: list[s
     assert (scene.mask(3)[30:40] == 1).all()
     assert scene.mask(3).sum() == 10 * SIZE[0]
     assert scene.heldout_masks.mask(2)[20:30].all()
+
+
+def write_masks(folder: Path, labels: np.ndarray, palette: bool = False) -> Path:
+    """The same labels [H, W] in every frame, as gray numbers or as the colors of DAVIS's palette."""
+    folder.mkdir()
+    colors = np.zeros((256, 3), np.uint8)
+    colors[[1, 2, 255]] = [[0, 0, 128], [0, 128, 0], [192, 224, 224]]  # blue, green, red
+    for i in range(FRAMES):
+        cv2.imwrite(str(folder / f"{i:05d}.png"), colors[labels] if palette else labels)
+    return folder
+
+
+@pytest.mark.parametrize("palette", [False, True])
+def test_label_255_beside_numbers_is_no_object(scene: Scene, tmp_path: Path, palette: bool):
+    labels = np.zeros((SIZE[1], SIZE[0]), np.uint8)
+    labels[:20, :30], labels[20:40, :30], labels[40:60, :30] = 1, 2, 255
+    use_given(scene, GivenPriors(masks=write_masks(tmp_path / "masks", labels, palette)))
+    for i in scene.train_frames:
+        np.testing.assert_array_equal(scene.mask(i), np.where(labels == 255, 0, labels))
+    for i in scene.heldout_frames:
+        np.testing.assert_array_equal(scene.heldout_masks.mask(i), (labels > 0) & (labels < 255))
+
+
+def test_white_alone_is_an_object(scene: Scene, tmp_path: Path):
+    labels = np.zeros((SIZE[1], SIZE[0]), np.uint8)
+    labels[:20, :30] = 255
+    use_given(scene, GivenPriors(masks=write_masks(tmp_path / "masks", labels)))
+    np.testing.assert_array_equal(scene.mask(scene.train_frames[0]), labels > 0)
+
+
+def test_masks_by_which_nothing_rests_are_refused_and_nothing_is_written(scene: Scene, tmp_path: Path):
+    labels = np.full((SIZE[1], SIZE[0]), 255, np.uint8)
+    labels[20:60, 40:90] = 0
+    with pytest.raises(InputError, match="invert masks whose objects are black") as error:
+        use_given(scene, GivenPriors(masks=write_masks(tmp_path / "masks", labels)))
+    assert "\n" not in str(error.value)
+    assert scene.prior("masks") is None
+    assert not any(scene.has_mask(i) for i in scene.train_frames)
+
+
+def test_a_large_object_is_no_inverted_mask(scene: Scene, tmp_path: Path):
+    labels = np.full((SIZE[1], SIZE[0]), 255, np.uint8)
+    labels[:, : SIZE[0] // 5] = labels[: SIZE[1] // 5] = 0
+    use_given(scene, GivenPriors(masks=write_masks(tmp_path / "masks", labels)))
+    assert scene.mask(scene.train_frames[0]).mean() > 0.6

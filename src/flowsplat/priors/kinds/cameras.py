@@ -10,6 +10,7 @@ from pathlib import Path
 from flowsplat.common.errors import InputError
 from flowsplat.priors.cameras import CameraOptions, camera_stage
 from flowsplat.priors.cameras.stage import OWN, require_lens_in_images, straightens
+from flowsplat.priors.given.camera_check import fit_to_images
 from flowsplat.priors.given.cameras import read_cameras
 from flowsplat.priors.given.fitting import verdict_of
 from flowsplat.priors.prior import GIVEN, Kind, PriorRequest
@@ -50,8 +51,9 @@ def _read_true(scene: Scene, truth: Layers) -> bool:
 
 def _read_given(request: PriorRequest, path: Path) -> None:
     cameras, maker = read_cameras(path, request.scene, request.options.given.allow_pickle)
+    cameras, told = fit_to_images(cameras, request.scene)
     request.scene.write_cameras(cameras)
-    request.scene.finish_prior("cameras", method=GIVEN, verdict=verdict_of(path, maker))
+    request.scene.finish_prior("cameras", method=GIVEN, verdict="; ".join(filter(None, (verdict_of(path, maker), told))))
     request.memory[MAKER] = maker
 
 

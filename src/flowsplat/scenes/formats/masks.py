@@ -2,12 +2,13 @@
 
 Black and white, gray object numbers, colors and palettes (DAVIS) all work; alpha is ignored. The colors of a clip become the
 numbers 1, 2, ... in one order for all frames, which for the palette of DAVIS is its own. Where a clip has more colors than
-objects can be (soft edges, JPEG), all that is not black is one object.
+objects can be (soft edges, JPEG), all that is not black is one object. The label 255 beside object numbers means that nobody knows
+("void", as in DAVIS and Pascal VOC), and is no object.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +21,13 @@ from flowsplat.scenes.layers import decode_image
 
 MAX_OBJECTS = 32
 """Colors above which they are taken for shades of one object. Chosen by eye."""
+MAX_MOVING_SHARE, MAX_RIM_SHARE = 0.5, 0.75
+"""Shares of the image, and of its rim, that half of the masks may hold at most, both together: what moves may fill the image, but
+something of what rests is seen along its rim. Chosen by eye."""
+GRAY = 0x010101
+"""A label of gray value 1."""
+VOID_COLOR, VOID_GRAY = 0xC0E0E0, 255 * GRAY
+"""Labels of 255 in the palette of DAVIS and Pascal VOC, and in gray images."""
 JPEG_BLACK = 127
 """Up to this value a pixel of a JPEG mask is background: compression smears its edges. Chosen by eye."""
 
@@ -37,7 +45,7 @@ def read_labels(path: Path) -> np.ndarray:
         raise InputError(f"{path} is no readable mask: save masks as 8-bit PNG.")
     if image.ndim == 2 or image.shape[2] <= 2:
         labels = (image if image.ndim == 2 else image[..., 0]).astype(np.int32)
-        labels = labels * 0x010101 if image.dtype == np.uint8 else labels
+        labels = labels * GRAY if image.dtype == np.uint8 else labels
     else:
         image = image if image.dtype == np.uint8 else (image >> 8).astype(np.uint8)  # three numbers have to fit in one
         # In this order the colors of DAVIS rank as its object numbers.
@@ -50,10 +58,17 @@ def read_labels(path: Path) -> np.ndarray:
 
 @dataclass(frozen=True)
 class GivenMasks:
-    """The masks of a clip by name, and the ``colors`` (sorted labels) that became the objects 1, 2, ...; None: all one object."""
+    """The masks of a clip.
+
+    Attributes:
+        paths: by name.
+        colors: [n] sorted labels that became the objects 1, 2, ...; None: all one object.
+        void: labels that mean that nobody knows.
+    """
 
     paths: Mapping[str, Path]
     colors: np.ndarray | None
+    void: tuple[int, ...] = ()
 
     @staticmethod
     def scan(paths: Mapping[str, Path], size: tuple[int, int]) -> GivenMasks:
@@ -72,7 +87,10 @@ class GivenMasks:
                 )
             if len(colors) <= MAX_OBJECTS:
                 colors = np.union1d(colors, labels[labels > 0])
-        return GivenMasks(paths, colors if len(colors) <= MAX_OBJECTS else None)
+        if len(colors) > MAX_OBJECTS:
+            return GivenMasks(paths, None)
+        void = find_void(colors)
+        return GivenMasks(paths, np.setdiff1d(colors, void), void)
 
     def read(self, name: str, size: tuple[int, int]) -> np.ndarray:
         """Return [H, W] uint8 object numbers at ``size`` (width, height), 0 = background."""
@@ -80,5 +98,37 @@ class GivenMasks:
         if self.colors is None:
             objects = (labels > 0).astype(np.uint8)
         else:
-            objects = np.where(labels > 0, np.searchsorted(self.colors, labels) + 1, 0).astype(np.uint8)
+            objects = np.where(np.isin(labels, self.colors), np.searchsorted(self.colors, labels) + 1, 0).astype(np.uint8)
         return resize_labels(objects, size)
+
+    def read_moving(self, path: Path, size: tuple[int, int]) -> np.ndarray:
+        """Return [H, W] uint8 at ``size`` (width, height) of a mask of the same clip: 1 for what moves, of whatever label."""
+        labels = read_labels(path)
+        return resize_labels(((labels > 0) & ~np.isin(labels, self.void)).astype(np.uint8), size)
+
+
+def find_void(colors: np.ndarray) -> tuple[int, ...]:
+    """Return which of the labels of a clip are 255, beside numbers of objects: alone it is what moves."""
+    others = colors[~np.isin(colors, (VOID_COLOR, VOID_GRAY))]
+    numbers = len(others) > 0 and bool(((others % GRAY == 0) & (others // GRAY <= MAX_OBJECTS)).all())
+    void = [VOID_COLOR] * (len(others) > 0) + [VOID_GRAY] * numbers
+    return tuple(label for label in void if label in colors)
+
+
+def require_rest(source: str, masks: Sequence[np.ndarray]) -> None:
+    """Refuse masks [H, W] beside which nothing of what rests is left.
+
+    Raises:
+        InputError: most of them hold most of the image and of its rim.
+    """
+    if not masks:
+        return
+    moving = [mask > 0 for mask in masks]
+    share = float(np.median([mask.mean() for mask in moving]))
+    rim = float(np.median([np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]]).mean() for mask in moving]))
+    if share > MAX_MOVING_SHARE and rim > MAX_RIM_SHARE:
+        raise InputError(
+            f"By the masks of {source} {share:.0%} of the image moves, and {rim:.0%} of its rim: nothing rests to find cameras by. "
+            "Black is what rests and every other color an object: invert masks whose objects are black, and give masks alone, not "
+            "images with masks laid over them."
+        )
