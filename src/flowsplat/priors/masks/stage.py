@@ -32,6 +32,10 @@ what moves")."""
 EVIDENCE_MEMORY = 0.5
 """Share of the evidence that a frame takes over from the next and the one before. Chosen by eye."""
 
+MIN_CUT_EVIDENCE = 2.0
+"""Summed evidence from which a pixel is in a mask. What rests in a mask costs more than what is missed of an object: it brings
+the contact with the ground nearer, and hangs in the air from aside (docs/results.md, "Masks of what moves")."""
+
 MIN_MOVING_SHARE = 0.1
 """Share of a part that must have been found by its motion: .3 loses more of what moves than of what rests (docs/results.md, "Masks
 of what moves")."""
@@ -134,7 +138,7 @@ def learn_colors(clip: MatchedClip, evidence: list[np.ndarray], motion: list[np.
     scene, colors = clip.scene, ColorModel()
     for k in range(0, len(clip), -(-len(clip) // MODEL_FRAMES)):
         frame = scene.frame(scene.train_frames[k])
-        colors.add(frame, _outline(evidence[k], frame, motion[k]) > 0)
+        colors.add(frame, _outline(evidence[k], frame, motion[k], 0) > 0)
     return colors.table()
 
 
@@ -142,7 +146,8 @@ def cut_masks(clip: MatchedClip, evidence: list[np.ndarray], motion: list[np.nda
     """Return the masks [H, W] uint8 of 0 and 1, from evidence that is propagated between frames."""
     scene, numbers = clip.scene, clip.scene.train_frames
     sums = zip(numbers[::-1], motion[::-1], _propagate(clip, evidence), strict=True)
-    return [_outline(total, scene.frame(i), moving) for i, moving, total in track(sums, "Masks", len(clip))][::-1]
+    masks = track(sums, "Masks", len(clip))
+    return [_outline(total, scene.frame(i), moving, MIN_CUT_EVIDENCE) for i, moving, total in masks][::-1]
 
 
 def _propagate(clip: MatchedClip, evidence: list[np.ndarray]) -> Iterator[np.ndarray]:
@@ -156,7 +161,8 @@ def _propagate(clip: MatchedClip, evidence: list[np.ndarray]) -> Iterator[np.nda
     return propagate(clip, lambda k: np.clip(evidence[k], -MAX_EVIDENCE, MAX_EVIDENCE), flow, EVIDENCE_MEMORY)
 
 
-def _outline(evidence: np.ndarray, frame: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """Return the mask [H, W] uint8 along the edges of the frame, of parts that were found by their motion."""
+def _outline(evidence: np.ndarray, frame: np.ndarray, motion: np.ndarray, least: float) -> np.ndarray:
+    """Return the mask [H, W] uint8 of more evidence than ``least`` along the edges of the frame, of parts that were found by their
+    motion."""
     smooth = EdgeSmoother(frame, _EDGE_AWARE_SMOOTHNESS, _COLOR_SIGMA).filter(evidence.astype(np.float32))
-    return parts((smooth > 0).astype(np.uint8), enlarge(motion, frame) > 0, MIN_MOVING_SHARE)
+    return parts((smooth > least).astype(np.uint8), enlarge(motion, frame) > 0, MIN_MOVING_SHARE)
