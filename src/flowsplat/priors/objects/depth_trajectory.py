@@ -34,12 +34,12 @@ TRACKS_PER_FRAME = (50, 180)
 """Tracks in a frame that the motion is solved from, the longest first; half of them for either half. Both are tried
 (docs/method.md, "Distance of objects")."""
 MIN_LAW_SIGMA = {"pivot": 0.04, "height": 0.03}
-"""Standard deviation of ln distance that a law of motion leaves at least: pivots of four scenes were off by .003 to .062."""
+"""Standard deviation of ln distance that a law of motion leaves at least: pivots of three scenes were off by .003 to .062."""
 LAW_ERROR_RATE = {"pivot": 0.05, "height": 0.05}
 """Chance that it has nothing to do with the truth."""
 MAX_PIVOT_REST, MIN_PIVOT_TURN = 0.2, 30.0
 """How far a pivot may move, as a share of what its body travels, and degrees that the body must turn: pendulums of four scenes have
-.03 to .08, what only looks like one .43 and more (docs/results.md, "Masks of what moves")."""
+.03 to .08, what only looks like one .28 and more (docs/results.md, "Masks of what moves")."""
 MIN_CONTRADICTION_SIGMA = 0.15
 """Standard deviation over time between ln z by motion and by growth from which the ground decides which of them is right
 (docs/method.md, "Distance of objects")."""
