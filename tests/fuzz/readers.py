@@ -87,7 +87,7 @@ def make_originals(root: Path) -> None:
     for suffix in ("png", "jpg", "webp", "tif", "bmp"):
         for i in range(3):
             write_image_file(root / suffix / "images" / f"{i}.{suffix}", make_image(i))
-            write_image_file(root / suffix / "masks" / f"{i}.png", np.full((48, 64), 40 * i, np.uint8))
+            write_image_file(root / suffix / "masks" / f"{i}.png", np.pad(np.full((24, 32), 40 * i, np.uint8), ((0, 24), (0, 32))))
     _films(root / "films")
     _rig(root / "rig")
     write_raw(root / "raw", replace(SPEC, frames=2))
@@ -159,7 +159,7 @@ def _rig(folder: Path) -> None:
     K = [[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]
     for i in range(count):
         write_image_file(folder / "rgb" / f"{i:05d}.png", make_image(i))
-        write_image_file(folder / "masks" / f"{i:05d}.png", np.full((48, 64), i, np.uint8))
+        write_image_file(folder / "masks" / f"{i:05d}.png", np.pad(np.full((24, 32), i, np.uint8), ((0, 24), (0, 32))))
         write_image_file(folder / "heldout" / "left" / f"{i:05d}.png", make_image(i + 9))
     poses = [np.eye(4).tolist()] * count
     (folder / "cameras.json").write_text(json.dumps({"K": K, "width": 64, "height": 48, "w2c": poses, "fps": 12}))
@@ -195,7 +195,7 @@ def _given(folder: Path) -> None:
         np.save(folder / "depth" / f"{i:05d}.npy", wide)
         np.save(folder / "disparity_disp" / f"{i:05d}.npy", wide)
         np.savez_compressed(folder / "mosca_depth" / f"{i:05d}.npz", dep=wide)
-        write_image_file(folder / "masks" / f"{i:05d}.png", np.full((48, 85), i, np.uint8))
+        write_image_file(folder / "masks" / f"{i:05d}.png", np.pad(np.full((24, 40), i, np.uint8), ((0, 24), (0, 45))))
     scene = given_scene(folder / "scene", maps.SIZE, maps.FRAMES)
     for i, j in [*consecutive_pairs(scene), (1, 2)]:
         flow = np.ones((48, 85, 2), np.float32)
