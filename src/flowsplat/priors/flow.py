@@ -28,6 +28,13 @@ def gray(image: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
 
 
+def read_gray(scene: Scene, i: int, longest: int) -> np.ndarray:
+    """Return gray [h, w] uint8 of any frame of a clip, held-out ones too, with at most ``longest`` pixels on its longer side."""
+    factor = min(1.0, longest / max(scene.width, scene.height))
+    size = max(1, round(scene.width * factor)), max(1, round(scene.height * factor))
+    return cv2.resize(gray(scene.any_frame(i)), size, interpolation=cv2.INTER_AREA)
+
+
 def dis_flow(a: np.ndarray, b: np.ndarray, initial: np.ndarray | None = None, fine: bool = False) -> np.ndarray:
     """Return flow [H, W, 2] float32 in pixels from gray ``a`` to gray ``b`` (both [H, W] uint8).
 

@@ -94,7 +94,7 @@ def estimate(positions: np.ndarray, width: float, height: float, focal: float | 
     return replace(other, surrounds=True) if better else found
 
 
-def stand(positions: np.ndarray, width: float, height: float, focal: float | None) -> CameraEstimate:
+def estimate_static(positions: np.ndarray, width: float, height: float, focal: float | None) -> CameraEstimate:
     """Return cameras that stand still, whatever the tracks say; for the arguments see ``estimate``."""
     seen = np.isfinite(positions[..., 0])
     standing = _solve_standing(from_middle(positions, seen, width, height), seen, focal or USUAL_FOCAL * width)

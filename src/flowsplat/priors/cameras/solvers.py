@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from flowsplat.priors.cameras.bundle import BundleObservations
 from flowsplat.priors.cameras.checks import LARGE_ERROR, MIN_STATIC_SHARE
-from flowsplat.priors.cameras.estimate import CameraEstimate, estimate, stand
+from flowsplat.priors.cameras.estimate import CameraEstimate, estimate, estimate_static
 from flowsplat.priors.cameras.pieces import MIN_TRACKS
 from flowsplat.priors.cameras.refinement import best_tracks, from_middle, robust_errors, with_points
 from flowsplat.priors.cameras.selection import on_rim
@@ -122,7 +122,7 @@ def solve(
     rim = judges[on_rim(judges, width, height).sum(1) > 0.5 * np.isfinite(judges[..., 0]).sum(1)]
     name = "own" if solver == "auto" else solver
     if still:
-        standing = stand(positions[used], width, height, focal)
+        standing = estimate_static(positions[used], width, height, focal)
         return Solved(standing, [judge(name, standing, judges, width, height, frames)])
     first = estimate(positions[used], width, height, focal, name)
     judgment = judge(name, first, rim if first.surrounds else judges, width, height, frames)

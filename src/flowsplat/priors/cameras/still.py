@@ -7,13 +7,13 @@ the median image lie, they rest however much passes before them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 
 from flowsplat.common.spread import spread
-from flowsplat.priors.flow import gray
+from flowsplat.priors.flow import read_gray
 from flowsplat.scenes import Scene
 
 COMPARED_FRAMES = 24
@@ -39,7 +39,7 @@ MAX_SHIFT = 0.35
 MIN_EDGES_IN_PLACE, MIN_FRAME_SHARE = 0.25, 0.9
 """Share of a part's edges that stay in so many of the frames of a camera that stands still."""
 MIN_PARTS_IN_PLACE = 0.3
-"""Share of the parts of which that holds: .38 to 1 of cameras that stand still, 0 to .04 of others (docs/results.md,
+"""Share of the parts of which that holds: .38 to 1 of cameras that stand still, 0 to .04 of others (docs/method.md,
 "Cameras")."""
 
 
@@ -47,16 +47,9 @@ def stands_still(scene: Scene, frames: Sequence[int]) -> bool:
     """Return whether the camera stands still in some frames of a clip; also False where its edges do not tell."""
     if len(frames) < 2:
         return False
-    images = np.stack(list(_images(scene, [frames[k] for k in spread(len(frames), COMPARED_FRAMES)])))
-    shares = edges_in_place(images)
+    compared = [frames[k] for k in spread(len(frames), COMPARED_FRAMES)]
+    shares = edges_in_place(np.stack([read_gray(scene, i, WORKING_SIDE) for i in compared]))
     return len(shares) >= MIN_PARTS and float((shares >= MIN_EDGES_IN_PLACE).mean()) >= MIN_PARTS_IN_PLACE
-
-
-def _images(scene: Scene, frames: Sequence[int]) -> Iterator[np.ndarray]:
-    factor = min(1.0, WORKING_SIDE / max(scene.width, scene.height))
-    size = max(1, round(scene.width * factor)), max(1, round(scene.height * factor))
-    for i in frames:
-        yield cv2.resize(gray(scene.any_frame(i)).astype(np.float32), size, interpolation=cv2.INTER_AREA)
 
 
 def edges_in_place(images: np.ndarray) -> np.ndarray:

@@ -33,8 +33,8 @@ EVIDENCE_MEMORY = 0.5
 """Share of the evidence that a frame takes over from the next and the one before. Chosen by eye."""
 
 MIN_CUT_EVIDENCE = 2.0
-"""Summed evidence from which a pixel is in a mask. What rests in a mask costs more than what is missed of an object: it brings
-the contact with the ground nearer, and hangs in the air from aside (docs/results.md, "Masks of what moves")."""
+"""Summed evidence from which a pixel is in a mask. What rests in a mask costs more than what is missed of an object, above all
+where it brings the contact with the ground nearer (docs/results.md, "Masks of what moves")."""
 
 MIN_MOVING_SHARE = 0.1
 """Share of a part that must have been found by its motion: .3 loses more of what moves than of what rests (docs/results.md, "Masks

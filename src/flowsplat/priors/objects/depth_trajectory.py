@@ -39,7 +39,7 @@ LAW_ERROR_RATE = {"pivot": 0.05, "height": 0.05}
 """Chance that it has nothing to do with the truth."""
 MAX_PIVOT_REST, MIN_PIVOT_TURN = 0.2, 30.0
 """How far a pivot may move, as a share of what its body travels, and degrees that the body must turn: pendulums of four scenes have
-.03 to .08, what only looks like one .28 and more (docs/results.md, "Masks of what moves")."""
+.03 to .08, what only looks like one .25 and more (docs/results.md, "Masks of what moves")."""
 MIN_CONTRADICTION_SIGMA = 0.15
 """Standard deviation over time between ln z by motion and by growth from which the ground decides which of them is right
 (docs/method.md, "Distance of objects")."""

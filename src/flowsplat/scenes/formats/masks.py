@@ -121,8 +121,6 @@ def require_rest(source: str, masks: Sequence[np.ndarray]) -> None:
     Raises:
         InputError: most of them hold most of the image and of its rim.
     """
-    if not masks:
-        return
     moving = [mask > 0 for mask in masks]
     share = float(np.median([mask.mean() for mask in moving]))
     rim = float(np.median([np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]]).mean() for mask in moving]))
