@@ -16,6 +16,7 @@ from flowsplat.priors.given import GivenPriors
 from flowsplat.priors.given.camera_check import compute_misfit, match_frames
 from flowsplat.priors.prepare import use_given
 from flowsplat.scenes import Scene
+from tests.priors.cameras.test_still import walkers
 from tests.priors.test_nasty_clips import ROOM, World, travel, write
 
 FRAMES = 24
@@ -110,3 +111,18 @@ def test_a_turning_camera_is_judged_by_its_points(tmp_path):
     turned_back = [replace(camera, viewmat=np.linalg.inv(camera.viewmat)) for camera in turning]
     scene = write(tmp_path / "again", [world.image(camera) for camera in turning])
     assert "they are" in give(scene, turned_back, tmp_path)
+
+
+def test_right_cameras_before_which_most_moves_are_not_refused(cameras, tmp_path):
+    """Something in front hides most of the image and goes its own way."""
+    near = World([*ROOM, (-0.5, -1.0, 1.0, 1.0, 2.0)], width=256)
+    scene = write(tmp_path / "moving", [near.image(camera, (0.02 * t, 0.01 * t, 0)) for t, camera in enumerate(cameras)])
+    assert "they miss the images by 0." in give(scene, cameras, tmp_path)
+
+
+def test_a_camera_that_stands_still_before_which_most_moves_is_not_refused(tmp_path):
+    frames = walkers(24)
+    scene = write(tmp_path / "still", frames)
+    height, width = frames[0].shape[:2]
+    still = [Camera(np.eye(4), np.array([[180.0, 0, width / 2], [0, 180, height / 2], [0, 0, 1]]), width, height)] * 24
+    assert "miss" not in give(scene, still, tmp_path)
