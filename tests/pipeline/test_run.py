@@ -326,11 +326,13 @@ def test_other_contents_of_given_files_are_noticed(tiny_scene, finished, tmp_pat
     info = json.loads((bare / "scene.json").read_text())
     info["priors"].pop("masks", None)
     (bare / "scene.json").write_text(json.dumps(info))
-    for value in (0, 1):
+    left = np.zeros((scene.height, scene.width), np.uint8)
+    left[:, : scene.width // 2] = 1
+    for moving in (0 * left, left):
         for i in range(scene.num_frames):
-            write_image(masks / f"{i:05d}.png", np.full((scene.height, scene.width), value, np.uint8))
+            write_image(masks / f"{i:05d}.png", moving)
         folder = prepare(bare, tmp_path / "out", config)
-        assert ((Scene(folder.scene_path).mask(0) > 0) == bool(value)).all(), "numbers are ours to divide"
+        assert ((Scene(folder.scene_path).mask(0) > 0) == moving).all(), "numbers are ours to divide"
 
 
 def test_memory_of_an_earlier_process_counts(finished, tmp_path):
