@@ -301,11 +301,18 @@ def test_white_alone_is_an_object(scene: Scene, tmp_path: Path):
 def test_masks_by_which_nothing_rests_are_refused_and_nothing_is_written(scene: Scene, tmp_path: Path):
     labels = np.full((SIZE[1], SIZE[0]), 255, np.uint8)
     labels[20:60, 40:90] = 0
-    with pytest.raises(InputError, match="invert masks whose objects are black") as error:
+    with pytest.raises(InputError, match="Invert masks whose objects are black") as error:
         use_given(scene, GivenPriors(masks=write_masks(tmp_path / "masks", labels)))
     assert "\n" not in str(error.value)
     assert scene.prior("masks") is None
     assert not any(scene.has_mask(i) for i in scene.train_frames)
+
+
+def test_masks_by_which_everything_moves_are_taken_and_said(scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    labels = np.full((SIZE[1], SIZE[0]), 255, np.uint8)
+    use_given(scene, GivenPriors(masks=write_masks(tmp_path / "masks", labels)))
+    assert scene.mask(scene.train_frames[0]).all()
+    assert "everything moves, and nothing rests" in capsys.readouterr().err
 
 
 def test_a_large_object_is_no_inverted_mask(scene: Scene, tmp_path: Path):

@@ -98,7 +98,8 @@ def estimate_static(positions: np.ndarray, width: float, height: float, focal: f
     """Return cameras that stand still, whatever the tracks say; for the arguments see ``estimate``."""
     seen = np.isfinite(positions[..., 0])
     standing = _solve_standing(from_middle(positions, seen, width, height), seen, focal or USUAL_FOCAL * width)
-    return CameraEstimate("static", standing, [], 0.0)
+    surrounds = 2 * int(seen[standing.static].sum()) < int(seen.sum())
+    return CameraEstimate("static", standing, [], 0.0, surrounds=surrounds)
 
 
 def _share(follows: np.ndarray, rim: np.ndarray) -> float:

@@ -123,7 +123,7 @@ def solve(
     name = "own" if solver == "auto" else solver
     if still:
         standing = estimate_static(positions[used], width, height, focal)
-        return Solved(standing, [judge(name, standing, judges, width, height, frames)])
+        return Solved(standing, [judge(name, standing, rim if standing.surrounds else judges, width, height, frames)])
     first = estimate(positions[used], width, height, focal, name)
     judgment = judge(name, first, rim if first.surrounds else judges, width, height, frames)
     if solver != "auto" or not judgment.poor:

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.progress import report
 from flowsplat.scenes.clip import resize_labels
 from flowsplat.scenes.layers import decode_image
 
@@ -116,17 +117,24 @@ def find_void(colors: np.ndarray) -> tuple[int, ...]:
 
 
 def require_rest(source: str, masks: Sequence[np.ndarray]) -> None:
-    """Refuse masks [H, W] beside which nothing of what rests is left.
+    """Refuse masks [H, W] that look inverted, and say where nothing rests by them at all.
 
     Raises:
-        InputError: most of them hold most of the image and of its rim.
+        InputError: most of them hold most of the image and of its rim, but not all of it.
     """
     moving = [mask > 0 for mask in masks]
     share = float(np.median([mask.mean() for mask in moving]))
     rim = float(np.median([np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]]).mean() for mask in moving]))
-    if share > MAX_MOVING_SHARE and rim > MAX_RIM_SHARE:
-        raise InputError(
-            f"By the masks of {source} {share:.0%} of the image moves, and {rim:.0%} of its rim: nothing rests to find cameras by. "
-            "Black is what rests and every other color an object: invert masks whose objects are black, and give masks alone, not "
-            "images with masks laid over them."
-        )
+    if share <= MAX_MOVING_SHARE or rim <= MAX_RIM_SHARE:
+        return
+    advice = (
+        "black is what rests and every other color an object. Invert masks whose objects are black, and give masks alone, not "
+        "images with masks laid over them."
+    )
+    if all(mask.all() for mask in moving):
+        report(f"By the masks of {source} everything moves, and nothing rests to find cameras by: {advice}")
+        return
+    raise InputError(
+        f"By the masks of {source} {share:.0%} of the image moves, and {rim:.0%} of its rim, so that hardly anything rests to find "
+        f"cameras by: {advice}"
+    )
