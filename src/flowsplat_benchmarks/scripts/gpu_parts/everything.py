@@ -106,8 +106,9 @@ def measure(
     """
     began = time.monotonic()
     before = dict(read_json(out, Found)["parts"]) if len(parts) < len(PARTS) and out.exists() else {}
+    about = {"date": datetime.now(timezone.utc).isoformat(timespec="seconds"), **commit(FOLDER)}
     result: dict[str, Any] = {
-        "format": 2, "date": datetime.now(timezone.utc).isoformat(timespec="seconds"), **commit(FOLDER),
+        "format": 2, **about,
         "minutes": minutes, "rehearsal": rehearse, "broken": broken, "parts": before,
     }  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="flowsplat-gpu-") as temporary, _Compiler(not rehearse) as compiler:
@@ -116,7 +117,8 @@ def measure(
             compiler.go_on(part)
             limit = limit_of(index, 60 * minutes - (time.monotonic() - began), parts)
             tell(f"{time.monotonic() - began:5.0f} s  {part.name}: {part.what} (at most {limit:.0f} s)")
-            result["parts"][part.name] = found = _run(part, folder, limit, scenes, rehearse, broken)
+            # Parts of an earlier commit may stay beside this one: each says of which it is.
+            result["parts"][part.name] = found = {**about, **_run(part, folder, limit, scenes, rehearse, broken)}
             if "machine" in found["figures"]:
                 result["machine"] = found["figures"].pop("machine")
             result["seconds"] = round(time.monotonic() - began, 1)

@@ -16,7 +16,7 @@ def page(result: Result) -> Iterator[str]:
     about = {"driver": "driver", "cuda": "CUDA", "torch": "PyTorch", "triton": "Triton", "python": "Python"}
     versions = ", ".join(f"{what} {machine[name]}" for name, what in about.items() if machine.get(name))
     yield f"{machine.get('memory_gib', 0)} GiB, {machine.get('cores')} cores beside it; {versions}."
-    yield f"Commit {str(result.get('commit'))[:7]}{' and changes' if result.get('changed') else ''}, {result['date'][:10]}."
+    yield f"{_commit(result)}; parts of another commit say so."
     for name, write in PARTS.items():
         found = result["parts"].get(name)
         if found is None:
@@ -24,10 +24,17 @@ def page(result: Result) -> Iterator[str]:
         yield ""
         yield f"### {TITLES[name]}"
         yield ""
+        if "commit" in found and _commit(found) != _commit(result):
+            yield f"{_commit(found)}."
+            yield ""
         if found["outcome"] != "done":
             yield f"**{found['outcome'].capitalize()}**: what it had found by then."
             yield ""
         yield from write({**found["figures"]})
+
+
+def _commit(about: Result) -> str:
+    return f"Commit {str(about.get('commit'))[:7]}{' and changes' if about.get('changed') else ''}, {about['date'][:10]}"
 
 
 def _table(head: list[str], rows: list[list[str]]) -> Iterator[str]:
