@@ -128,7 +128,7 @@ def _to_bytes(confidence: np.ndarray) -> np.ndarray:
 
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
-    """Without what libpng and libjpeg write to the terminal by themselves; what others write meanwhile is lost, too."""
+    """Without what OpenCV, libpng and libjpeg write to the terminal by themselves; what others write meanwhile is lost, too."""
     with _SILENCE, open(os.devnull, "wb") as nowhere:
         try:
             kept = os.dup(2)
@@ -177,15 +177,11 @@ def decode_image(path: Path, flags: int, expected: tuple[int, int] | None = None
         raise InputError(f"{path} has {size[0]:,} x {size[1]:,} pixels, more than the {MAX_PIXELS / 1e6:g} million that are read.")
     if not can_hold(data, size):
         return None
-    logging = cv2.utils.logging
-    level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
     try:
         with _silence():
             return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
         return None
-    finally:
-        logging.setLogLevel(level)
 
 
 def read_image(path: Path, expected: tuple[int, int] | None = None) -> np.ndarray:
