@@ -99,7 +99,9 @@ def test_the_version(capsys):
 
 
 def test_the_package_is_a_command():
-    done = subprocess.run([sys.executable, "-m", "flowsplat", "--version"], capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "flowsplat", "--version"], capture_output=True, text=True, timeout=120, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert flowsplat.__version__ in done.stdout
 
