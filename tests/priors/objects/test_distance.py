@@ -106,6 +106,14 @@ def test_points_and_normals_of_depth():
     np.testing.assert_allclose(camera.project(points)[1], found)
 
 
+def seen_static(camera: Camera, edge: float = np.inf, far: float = 12.0) -> np.ndarray:
+    """Planar depth [90, 160] of a ground that ends ``edge`` away from the world's origin, before a wall so ``far`` away."""
+    y, x = np.mgrid[:90, :160]
+    rays = camera.unproject(2 * np.stack([x, y], -1) + 1.0, np.ones((90, 160))) - camera.center
+    ground = np.where(rays[..., 2] < 0, camera.center[2] / np.maximum(-rays[..., 2], 1e-9), np.inf)
+    return np.minimum(np.where(ground * rays[..., 1] < edge, ground, np.inf), far)
+
+
 @pytest.mark.parametrize("roll", [0.0, 0.1])
 @pytest.mark.parametrize("height", [1.6, 4.0])
 def test_what_stands_is_where_its_feet_are(roll, height):
@@ -113,7 +121,7 @@ def test_what_stands_is_where_its_feet_are(roll, height):
     assert ground is not None
     camera = look(np.array([0, 0, height]), np.array([0, 6.0, 0.8]), roll)
     mask = image_of(camera, np.array([0.4, 6.0, 0.0]), 0.5, 1.7)
-    static = np.full((90, 160), 12.0)
+    static = seen_static(camera)
     bound = compute_ground_bound(mask, camera, ground, static)
     assert bound is not None
     assert bound.visible
@@ -123,12 +131,55 @@ def test_what_stands_is_where_its_feet_are(roll, height):
     assert bound.log_depth == pytest.approx(true, abs=0.02)
 
 
+def test_feet_behind_the_edge_of_the_ground_say_nothing():
+    """A terrace ends 7 away; who walks behind it, lower, is seen from the knees up."""
+    ground = seen_ground()
+    assert ground is not None
+    camera = look(np.array([0, 0, 1.6]), np.array([0, 6.0, 0.8]))
+    edge = float(camera.project(np.array([[0, 7.0, 0.0]]))[0][0, 1])
+    walker = image_of(camera, np.array([0, 10.0, -1.0]), 0.6, 1.7)
+    walker[int(edge) :] = False
+    assert walker.sum() > 300
+    assert compute_ground_bound(walker, camera, ground, seen_static(camera, edge=7.0, far=40.0)) is None
+    before = image_of(camera, np.array([0, 5.0, 0.0]), 0.6, 1.7)
+    assert compute_ground_bound(before, camera, ground, seen_static(camera, edge=7.0, far=40.0)) is not None
+
+
+def test_what_is_deep_is_where_its_middle_stands():
+    """Near wheels and far ones: the nearest of its lowest pixels is nearer than its middle."""
+    ground = seen_ground()
+    assert ground is not None
+    camera = look(np.array([0, 0, 1.6]), np.array([0, 6.0, 0.8]))
+    wheels = [image_of(camera, np.array([x, 6.0 + 0.5 * x, 0.0]), 0.3, 0.3) for x in (-0.8, 0.8)]
+    bonnet = image_of(camera, np.array([0, 6.0, 0.3]), 1.9, 0.6)
+    mask = wheels[0] | wheels[1] | bonnet
+    bound = compute_ground_bound(mask, camera, ground, seen_static(camera))
+    assert bound is not None
+    middle = middle_of(mask)
+    ray = camera.unproject(middle[None], np.ones(1))[0] - camera.center
+    assert bound.log_depth == pytest.approx(np.log(6.0 / ray[1]), abs=0.02)
+    assert bound.lowest_log_depth < bound.log_depth - 0.04
+
+
+def test_who_dances_stands_and_what_flies_does_not():
+    """Bounds that change by a third with the pose are contact, less sure; those of something thrown are none."""
+    visible = np.ones(30, bool)
+    wave = np.sin(np.linspace(0, 9, 30))
+    even, uneven, thrown = (contact_cue(size * wave, visible, 30) for size in (0.04, 0.2, 0.6))
+    assert even is not None
+    assert uneven is not None
+    assert thrown is None
+    assert uneven.wrong > even.wrong
+    assert uneven.sigma > even.sigma
+    assert contact_cue(0.04 * wave, visible & (np.arange(30) < 10), 30) is None, "its feet are hidden in most frames"
+
+
 def test_what_floats_is_bounded_from_afar_and_hidden_feet_are_noticed():
     ground = seen_ground()
     assert ground is not None
     camera = look(np.array([0, 0, 1.6]), np.array([0, 6.0, 0.8]))
-    standing = compute_ground_bound(image_of(camera, np.array([0, 6.0, 0.0]), 0.5, 1.0), camera, ground, np.full((90, 160), 12.0))
-    floating = compute_ground_bound(image_of(camera, np.array([0, 6.0, 0.5]), 0.5, 1.0), camera, ground, np.full((90, 160), 12.0))
+    standing = compute_ground_bound(image_of(camera, np.array([0, 6.0, 0.0]), 0.5, 1.0), camera, ground, seen_static(camera))
+    floating = compute_ground_bound(image_of(camera, np.array([0, 6.0, 0.5]), 0.5, 1.0), camera, ground, seen_static(camera))
     hidden = compute_ground_bound(image_of(camera, np.array([0, 6.0, 0.2]), 0.5, 1.0), camera, ground, np.full((90, 160), 3.0))
     assert standing is not None
     assert floating is not None

@@ -106,7 +106,7 @@ def test_a_motion_that_explains_half_of_an_object_tells_its_depth_trajectory_if_
     middles = np.median(pixels, 0).astype(float)
     swing = np.zeros(FRAMES) if stands else 0.4 * np.sin(np.arange(FRAMES) / 2)
     feet = np.log(depths) + swing
-    bounds = [Bound(float(each), True, True, np.zeros((3, 2), int)) for each in feet]
+    bounds = [Bound(float(each), float(each), True, True, np.zeros((3, 2), int)) for each in feet]
     billboards = 1.2 + 0.3 * np.sin(np.arange(FRAMES) / 3)
     obj = solve_object(1, pixels, seen, middles, bounds, cameras, None, billboards, np.array([0, -1.0, 0]), flat)
     assert not obj.rigid
@@ -128,7 +128,8 @@ def test_what_is_deep_touches_the_ground_before_its_middle():
     front = np.argsort(np.where(own[..., 1] > 0.2, own[..., 2], np.inf), axis=0)[:3]
     nearer = np.log1p(np.median(np.take_along_axis(own[..., 2], front, 0), 0) / depths)
     assert nearer.max() < -0.035
-    bounds = [Bound(float(np.log(depths[k]) + nearer[k]), True, True, pixels[front[:, k], k].astype(int)) for k in range(FRAMES)]
+    lowest = np.log(depths) + nearer
+    bounds = [Bound(float(each), float(each), True, True, pixels[front[:, k], k].astype(int)) for k, each in enumerate(lowest)]
     cameras = [Camera(np.eye(4), K, 320, 180) for _ in range(FRAMES)]
     middles = np.median(pixels, 0).astype(float)
     obj = solve_object(1, pixels, seen, middles, bounds, cameras, None, np.log(depths), np.array([0, -1.0, 0]), flat)
@@ -149,7 +150,7 @@ def test_a_motion_that_growth_and_the_ground_contradict_is_dropped(stands):
     middles = np.median(pixels, 0).astype(float)
     growth = 1.2 + 0.4 * np.sin(np.arange(FRAMES) / 3)
     feet = growth + 0.1 if stands else np.log(depths) + np.linspace(0, 2, FRAMES)
-    bounds = [Bound(float(each), True, True, np.zeros((3, 2), int)) for each in feet]
+    bounds = [Bound(float(each), float(each), True, True, np.zeros((3, 2), int)) for each in feet]
     obj = solve_object(1, pixels, seen, middles, bounds, cameras, None, growth, np.array([0, -1.0, 0]), flat)
     assert obj.rigid != stands
     assert ("contact" in obj.cues) == stands

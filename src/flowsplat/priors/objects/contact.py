@@ -17,6 +17,11 @@ MIN_PIXELS = 24
 MIN_HIDING = 0.06
 """How much nearer than the ground the static scene just below its lowest pixels must be to hide its feet. Chosen by eye."""
 
+MIN_BESIDE = 6
+"""Pixels beside its lowest ones that must tell. Chosen by eye."""
+CONTACT_DEPTH = 0.2
+"""By how much, in ln, what touches the ground under an object is farther at one end than at the other, at most: the wheels of a
+car, two feet. Above .1 it hardly matters (docs/results.md, "Contact, counted")."""
 MAX_BEYOND_GROUND = 0.15
 """How much farther the static scene is seen than the ground is supposed to be, so that it ends before. Chosen by eye."""
 
@@ -26,13 +31,15 @@ class Bound:
     """What one frame says.
 
     Attributes:
-        log_depth: logarithm of the planar depth of the billboard's middle at which it would touch the ground.
+        log_depth: logarithm of the planar depth of the billboard's middle at which it would touch the ground, below its middle.
+        lowest_log_depth: the same if its lowest pixels touched the ground right below its middle.
         visible: whether its lowest pixels are in the image and nothing stands before them.
         seen: whether the ground was seen there, and is not only supposed to go on.
         lowest: [n, 2] int, (column, row) of its lowest pixels.
     """
 
     log_depth: float
+    lowest_log_depth: float
     visible: bool
     seen: bool
     lowest: np.ndarray
@@ -81,7 +88,8 @@ def compute_ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, stati
     y, x = np.nonzero(mask & (shifted == 0))
     pixels = np.stack([x + 0.5 + 0.5 * column, y + 0.5 + 0.5 * row], 1)
     depth, seen = ground.depth(camera, pixels)
-    log_depth = np.log(depth) - np.log(upright_ratio(camera, ground.normal, middle_of(mask), pixels))
+    middle = middle_of(mask)
+    log_depth = np.log(depth) - np.log(upright_ratio(camera, ground.normal, middle, pixels))
     # The lowest pixels are those nearest to the camera's foot on the ground, whether the ground is known there or not.
     rays = camera.unproject(pixels, np.ones(len(pixels))) - camera.center
     order = np.argsort(rays @ ground.normal, kind="stable")
@@ -91,12 +99,16 @@ def compute_ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, stati
     if known[lowest].mean() < 0.5:
         return None
     bound = float(np.sort(log_depth[known])[min(count, int(known.sum())) - 1])
+    side = np.array([-row, column])
+    below_middle = _bound_below(pixels[known] @ side, np.maximum(log_depth[known], bound), float(middle @ side))
     reach = 2 + height // 90
     below_x, below_y = x[lowest] + reach * column, y[lowest] + reach * row
     inside = (below_x >= 0) & (below_y >= 0) & (below_x < width) & (below_y < height)
     inside &= known[lowest]
     was_seen = bool(seen[lowest].mean() > 0.5)
     visible = bool(inside.mean() > 0.5 and (below_y < height).mean() > 0.9)
+    if _ground_ends(mask, camera, ground, static, np.stack([x, y], 1)[lowest], np.array([column, row]), reach):
+        return None
     if visible:
         rows, columns = (below_y * static.shape[0]) // height, (below_x * static.shape[1]) // width
         ahead = float(np.median(np.log(static[rows[inside], columns[inside]]) - np.log(depth[lowest][inside])))
@@ -104,4 +116,53 @@ def compute_ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, stati
         if not was_seen and np.isfinite(ahead) and ahead > MAX_BEYOND_GROUND:
             return None
     touching = np.argsort(np.where(known, log_depth, np.inf), kind="stable")[: min(count, int(known.sum()))]
-    return Bound(bound, visible, was_seen, np.stack([x, y], 1)[touching])
+    return Bound(below_middle, bound, visible, was_seen, np.stack([x, y], 1)[touching])
+
+
+def _bound_below(across: np.ndarray, bounds: np.ndarray, middle: float) -> float:
+    """Return the bound below an object's ``middle``, between what touches the ground to its left and to its right.
+
+    A car touches it with its near wheels and its far ones, who walks with two feet: the nearest alone is nearer than its middle.
+    The lower convex hull of all bounds joins them.
+
+    Args:
+        across: [n] where along its width the pixels of its lower rim are; ``bounds`` [n] theirs.
+    """
+    touching = bounds <= bounds.min() + CONTACT_DEPTH
+    order = np.lexsort((bounds[touching], across[touching]))
+    columns, nearest = np.unique(across[touching][order], return_index=True)
+    hull: list[tuple[float, float]] = []
+    for u, bound in zip(columns.tolist(), bounds[touching][order][nearest].tolist(), strict=True):
+        while len(hull) > 1 and _turns_down(hull[-2], hull[-1], (u, bound)):
+            hull.pop()
+        hull.append((u, bound))
+    return float(np.interp(middle, *zip(*hull, strict=True)))
+
+
+def _turns_down(first: tuple[float, float], second: tuple[float, float], third: tuple[float, float]) -> bool:
+    return (second[0] - first[0]) * (third[1] - first[1]) <= (second[1] - first[1]) * (third[0] - first[0])
+
+
+def _ground_ends(
+    mask: np.ndarray, camera: Camera, ground: Ground, static: np.ndarray, lowest: np.ndarray, down: np.ndarray, reach: int
+) -> bool:
+    """Return whether the ground ends at an object's ``lowest`` pixels [n, 2]: beside them what is seen is far beyond it.
+
+    What stands behind the edge of a terrace hides its feet behind the ground itself.
+    """
+    height, width = mask.shape
+    side = np.array([-down[1], down[0]])
+    along, middle = (lowest - lowest.mean(0)) @ side, lowest.mean(0)
+    beside = np.concatenate([along.min() - reach * np.arange(1, 7), along.max() + reach * np.arange(1, 7)])
+    above = reach * np.arange(1, 5)
+    places = middle + beside[:, None, None] * side / (side @ side) - above[:, None] * down + 0.5
+    x, y = places.reshape(-1, 2).astype(int).T
+    inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    inside[inside] &= ~mask[y[inside], x[inside]]
+    x, y = x[inside], y[inside]
+    if len(x) == 0:
+        return False
+    depth, _ = ground.depth(camera, np.stack([x, y], 1) + 0.5)
+    beyond = np.log(static[(y * static.shape[0]) // height, (x * static.shape[1]) // width]) - np.log(depth)
+    beyond = beyond[np.isfinite(beyond)]
+    return len(beyond) >= MIN_BESIDE and float(np.median(beyond)) > MAX_BEYOND_GROUND

@@ -19,6 +19,9 @@ BOUNCE_ERROR_RATE = 0.1
 MAX_BOUND_RANGE, BOUND_LOW_PERCENTILE, BOUND_HIGH_PERCENTILE = 0.1, 10, 70
 """Range of the bounds between two percentiles over time up to which an object stands on the ground. Chosen on random worlds of
 seeds 0 to 14 (docs/results.md)."""
+MAX_UNEVEN_RANGE, UNEVEN_ERROR_RATE = 0.4, 0.2
+"""Range up to which it may stand there though its bounds change: with the pose of who dances, with a foot that a shadow hides.
+And the chance that it does not (docs/results.md, "Contact, counted")."""
 MIN_FEET_SHARE = 0.5
 """Share of the frames in which an object is seen in which its feet must be seen, too: what swings hides where it is high. Chosen
 on random worlds of seeds 0 to 14 (docs/results.md)."""
@@ -43,6 +46,7 @@ class Feet:
     Attributes:
         bounds: [T] what each frame says of it.
         log_depth: [T] logarithm of the depth of the object's middle there; NaN where a frame says nothing.
+        lowest_log_depth: [T] likewise, if its lowest pixels were right below its middle.
         visible: [T] bool: its lowest pixels are seen.
         ground_seen: [T] bool: the ground is seen there, and not only supposed to go on.
         frames: in how many frames the object is seen.
@@ -50,6 +54,7 @@ class Feet:
 
     bounds: Sequence[Bound | None]
     log_depth: np.ndarray
+    lowest_log_depth: np.ndarray
     visible: np.ndarray
     ground_seen: np.ndarray
     frames: int
@@ -60,6 +65,7 @@ class Feet:
         return cls(
             bounds,
             np.array([np.nan if bound is None else bound.log_depth for bound in bounds]),
+            np.array([np.nan if bound is None else bound.lowest_log_depth for bound in bounds]),
             np.array([bound is not None and bound.visible for bound in bounds]),
             np.array([bound is not None and bound.seen for bound in bounds]),
             frames,
@@ -85,16 +91,22 @@ def unevenness(bounds: np.ndarray, visible: np.ndarray, frames: int) -> float:
 
 
 def contact_cue(bounds: np.ndarray, visible: np.ndarray, frames: int) -> Cue | None:
-    """That an object stands on the ground: its bounds [T] hardly change over time.
+    """That an object stands on the ground: its bounds [T] change little over time.
 
     Args:
         visible: [T] whether its feet are.
         frames: in how many it is seen.
+
+    Returns:
+        None where its feet are seen in too few frames, or its height above the ground changes by more than whose outline and pose
+        only change.
     """
-    if unevenness(bounds, visible, frames) > MAX_BOUND_RANGE:
+    change = unevenness(bounds, visible, frames)
+    if change > MAX_UNEVEN_RANGE:
         return None
     low, middle, high = np.percentile(bounds[visible & np.isfinite(bounds)], [BOUND_LOW_PERCENTILE, 35, BOUND_HIGH_PERCENTILE])
-    return Cue(float(middle), float(np.hypot(CONTACT_SIGMA, 0.5 * (high - low))), CONTACT_ERROR_RATE)
+    wrong = CONTACT_ERROR_RATE if change <= MAX_BOUND_RANGE else UNEVEN_ERROR_RATE
+    return Cue(float(middle), float(np.hypot(CONTACT_SIGMA, min(0.5 * (high - low), MAX_BOUND_RANGE))), wrong)
 
 
 def settle_on_ground(above: np.ndarray, visible: np.ndarray) -> np.ndarray:

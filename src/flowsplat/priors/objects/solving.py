@@ -11,6 +11,7 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.background.ground import Ground
 from flowsplat.priors.objects.contact import Bound, upright_ratio
 from flowsplat.priors.objects.contact_cues import (
+    MAX_BOUND_RANGE,
     MIN_BOUNDS,
     Feet,
     contact_cue,
@@ -133,9 +134,12 @@ def solve_object(
     stands = contact_cue(at_ground, feet.visible, feet.frames)
     if stands is not None and not found.bends:
         # What is deep, and its shadow, touches the ground before its middle: its own points tell by how much.
-        touched = _at_feet(np.where(feet.visible, at_ground, np.nan), np.flatnonzero(feet.visible), found, tracks, feet, front)
+        touched = _at_feet(np.flatnonzero(feet.visible), found, tracks, feet, front)
         stands = contact_cue(touched, feet.visible, feet.frames) or stands
-    bounces = _bounces(found, tracks, feet, ground, float(np.exp(guess)), front) if stands is None else None
+    bounces = None
+    if feet.unevenness(found.log_depth) > MAX_BOUND_RANGE:  # it may touch the ground for moments only
+        bounces = _bounces(found, tracks, feet, ground, float(np.exp(guess)), front)
+        stands = stands if bounces is None else None
     if feet.is_supposed(found.log_depth):  # ground that is not seen may drop: it says less
         stands, bounces = (None if cue is None else unsurer(cue) for cue in (stands, bounces))
     depth_trajectory = found.log_depth
@@ -167,17 +171,17 @@ def _bounces(
     if found.path is None or ground is None:
         return None
     thrown = bounce_frames(found.path, ground.normal, scale)
-    touched = np.where(feet.visible, feet.log_depth - found.log_depth, np.nan)
-    return make_thrown_cue(_at_feet(touched, thrown, found, tracks, feet, front), thrown)
+    return make_thrown_cue(_at_feet(thrown, found, tracks, feet, front), thrown)
 
 
 def _at_feet(
-    touched: np.ndarray, thrown: Sequence[int] | np.ndarray, found: DepthTrajectory, tracks: ObjectTracks, feet: Feet,
+    thrown: Sequence[int] | np.ndarray, found: DepthTrajectory, tracks: ObjectTracks, feet: Feet,
     front: Callable[[int], np.ndarray],
 ) -> np.ndarray:  # fmt: skip
-    """Return the bounds ``touched`` [T], but those of its lowest pixels in the frames about those in which it was ``thrown`` up."""
-    result = touched.copy()
-    for k in {int(j) for i in thrown for j in (i - 1, i, i + 1) if 0 <= j < len(touched) and np.isfinite(touched[j])}:
+    """Return [T] the bounds of its lowest pixels, NaN where they are not seen; about the frames in which it was ``thrown`` up by
+    how much they are farther than its middle."""
+    result = np.where(feet.visible, feet.lowest_log_depth - found.log_depth, np.nan)
+    for k in {int(j) for i in thrown for j in (i - 1, i, i + 1) if 0 <= j < len(result) and np.isfinite(result[j])}:
         bound, here = feet.bounds[k], found.points.frame_of == k
         assert bound is not None  # where it touches is finite only there
         before, pixels = front(k), found.points.pixels[here]
