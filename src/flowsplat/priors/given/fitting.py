@@ -41,7 +41,7 @@ def require_frames(path: Path, count: int, scene: Scene, what: str) -> None:
     if count != scene.num_frames:
         raise InputError(
             f"{path} holds {count} {what}, but the clip has {scene.num_frames} frames: give one a frame "
-            "(--start, --end, --every and --max-frames choose the frames of the clip)."
+            "(--start, --end, --every, --max-frames and --keep-all choose the frames of the clip)."
         )
 
 
