@@ -122,7 +122,7 @@ def select_frames(seconds: np.ndarray, options: InputOptions, source: str, look:
     if look is not None and not options.keep_all:
         inside, left_out = _leave_out(inside, elapsed, options, look)
         notes += left_out
-    every = _thinning(len(inside), options)
+    every = _choose_every(len(inside), options)
     thinned = inside[::every]
     numbers = thinned[: options.max_frames]
     if every > 1:
@@ -145,7 +145,7 @@ def select_frames(seconds: np.ndarray, options: InputOptions, source: str, look:
     return Selection(numbers, elapsed[numbers] - elapsed[numbers[0]], float(seconds[numbers[0]]), notes)
 
 
-def _thinning(count: int, options: InputOptions) -> int:
+def _choose_every(count: int, options: InputOptions) -> int:
     return options.every or max(1, -(-count // options.max_frames))
 
 
@@ -157,7 +157,7 @@ def _leave_out(inside: np.ndarray, elapsed: np.ndarray, options: InputOptions, l
     if len(inside) < 2:
         return inside, []
     times = elapsed[inside]
-    thinned = _thinning(len(inside), options) > MAX_REPEATS
+    thinned = _choose_every(len(inside), options) > MAX_REPEATS
     looked = (np.minimum(times - times[0], times[-1] - times) <= FADE_SECONDS) | (not thinned)
     found = measure_changes(look(inside[looked]), int(looked.sum()))
     contrasts = np.full(len(inside), np.inf)

@@ -33,6 +33,13 @@ def list_images(folder: Path) -> list[Path]:
     return sorted(found, key=natural_key)
 
 
+def is_animated(path: Path) -> bool:
+    """Return whether a file is an animated WebP (https://developers.google.com/speed/webp/docs/riff_container)."""
+    with path.open("rb") as file:
+        head = file.read(21)
+    return head[:4] == b"RIFF" and head[8:16] == b"WEBPVP8X" and len(head) == 21 and bool(head[20] & 2)
+
+
 def read_input_image(path: Path) -> np.ndarray:
     """Any image as RGB [H, W, 3] uint8: turned upright by its EXIF tag, 16 bits reduced to 8, alpha dropped.
 

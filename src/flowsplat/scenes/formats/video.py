@@ -19,6 +19,10 @@ from flowsplat.scenes.clip import Clip, InputOptions, choose_working_size, resiz
 from flowsplat.scenes.formats.video_color import VideoColors, colors_of, decode_rgb, to_srgb
 from flowsplat.scenes.repeats import look_size
 
+VIDEO_SUFFIXES = (
+    ".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".mts", ".m2ts", ".3gp", ".ogv", ".wmv", ".flv", ".gif",
+)  # fmt: skip
+"""Files of a folder that are taken for clips; a clip that is given by its own name may be called anything."""
 SEEK_MARGIN = 2.0
 """Seconds before the first wanted frame to which decoding jumps. Chosen by eye."""
 
