@@ -28,8 +28,8 @@ between .2 and .3. Repeats have at most .19 where the clip was encoded as H.264 
 """
 CONVERTED_RATIO = 0.4
 """The same in a clip that is known to repeat frames: a key frame differs more from its twin (MPEG-4 at a low rate: up to .5).
-At .2 more twins
-are missed, at .5 real frames are left out: 10 clips and worlds, each from 24 and 15 to 60 and from 24 and 25 to 30 frames a second."""
+At .2 more twins are missed, at .5 real frames are left out: 10 clips and worlds, each from 24 and 15 to 60 and from 24 and 25
+to 30 frames a second."""
 MIN_SHARE = 1 / 30
 """Share of the frames that must be repeats, so that the clip is known to repeat frames: 1 of 25 from 24 to 25 a second."""
 MIN_STEP = 4.0
