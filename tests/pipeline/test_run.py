@@ -168,6 +168,15 @@ def test_a_prepared_scene_may_hold_out_its_first_and_last_frame(tiny_scene, tmp_
     assert metrics["baselines"]["copy"]["psnr"] == metrics["baselines"]["flow_interpolation"]["psnr"] > 10
 
 
+def test_a_model_that_is_gone_is_said(finished, tmp_path):
+    folder = RunFolder(shutil.copytree(finished, tmp_path / "out"))
+    shutil.rmtree(folder.model_path)
+    assert f"  model: {folder.model_path} is gone; flowsplat train {folder.path} trains it again" in list(describe(folder.path))
+    for options in (None, replace(folder.config.render, paths=("bullet",))):
+        with pytest.raises(InputError, match=r"model is gone: flowsplat train .* trains it again"):
+            stages.render_run(folder, options)
+
+
 def test_the_folder_of_another_input_is_refused(finished, tmp_path):
     from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 

@@ -17,10 +17,11 @@ from flowsplat.gaussians.initialize import initialize
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.geometry import Camera
 from flowsplat.geometry.similarity import path_errors
+from flowsplat.images.blank import is_blank
 from flowsplat.priors.cameras.bundle import Reconstruction
 from flowsplat.priors.cameras.keyframes import choose_keyframes, place_between
 from flowsplat.priors.cameras.pieces import PIECE_DISTANCE, find_breaks, join, split
-from flowsplat.priors.continuity import Continuity, is_blank
+from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes import Scene

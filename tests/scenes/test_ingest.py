@@ -135,6 +135,26 @@ def test_missing_input(tmp_path, name):
             call(tmp_path / name)
 
 
+def test_an_animated_image_is_no_single_one(tmp_path):
+    """The chunk VP8X as Pillow writes it: flags of animation and alpha, three bytes, width and height less one."""
+    path = tmp_path / "a.webp"
+    for flags, words in ((0x12, "an animated WebP"), (0x10, "a single image")):
+        path.write_bytes(
+            b"RIFF" + (22).to_bytes(4, "little") + b"WEBPVP8X" + bytes([10, 0, 0, 0, flags, 0, 0, 0, 63, 0, 0, 47, 0, 0])
+        )
+        with pytest.raises(InputError, match=words):
+            open_clip(path, OPTIONS)
+
+
+def test_a_folder_of_videos(tmp_path, make_image, write_video):
+    write_video(tmp_path / "a.mp4", [make_image(0)] * 2)
+    with pytest.raises(InputError, match=r"a folder with a video: give .*a\.mp4\."):
+        open_clip(tmp_path, OPTIONS)
+    write_video(tmp_path / "b.mov", [make_image(0)] * 2)
+    with pytest.raises(InputError, match=r"holds 2 videos: give one, as .*a\.mp4, or the folder to flowsplat batch"):
+        open_clip(tmp_path, OPTIONS)
+
+
 def test_input_of_no_known_kind(folder, tmp_path):
     with pytest.raises(InputError, match="single image"):
         open_clip(folder / "images" / "00000.png", OPTIONS)

@@ -20,12 +20,9 @@ from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import list_setting_types, with_settings
 from flowsplat.pipeline.config import RunConfig, check, find_setting
 from flowsplat.pipeline.renamed_options import find_renamed_option
+from flowsplat.scenes.formats.video import VIDEO_SUFFIXES
 from flowsplat.scenes.ingest import kind_of_input
 
-VIDEO_SUFFIXES = (
-    ".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".mts", ".m2ts", ".3gp", ".ogv", ".wmv", ".flv", ".gif",
-)  # fmt: skip
-"""Files of a folder that are taken for clips; a clip that is given by its own name may be called anything."""
 LISTS = (".txt", ".csv", ".tsv", ".jsonl", ".ndjson")
 MAX_CLIPS = 1_000_000
 """Clips of one batch, at most: a list with more is a slip. A round number."""

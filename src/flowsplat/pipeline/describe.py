@@ -73,6 +73,8 @@ def _describe_run(folder: RunFolder) -> Iterator[str]:
         yield f"  model: {value['gaussians']:,} Gaussians, {value['dynamic']:,} of them move"
         if value.get("objects"):
             yield "  Gaussians of the objects: " + ", ".join(f"{count:,} of {number}" for number, count in value["objects"].items())
+    elif "train" in folder.record["stages"]:
+        yield f"  model: {folder.model_path} is gone; flowsplat train {folder.path} trains it again"
     if (folder.scene_path / "scene.json").exists():
         yield from _describe_scene(Scene(folder.scene_path))
 

@@ -71,11 +71,11 @@ def prepare_folder(source: Path, out: Path, config: RunConfig, first: Callable[[
         return folder
     show: Callable[[], None] | None = None
     if first is not None and kind != "scene" and not has_model(folder.model_path):
-        opened = clip or open_clip(source, config.input)
-        show = functools.partial(first, folder, opened)
+        clip = clip or open_clip(source, config.input)
+        show = functools.partial(first, folder, clip)
     goes_on = is_new or folder.was_started("prepare", key)
     with contextlib.nullcontext() if goes_on else _set_aside(folder, before), folder.stage("prepare", key, made=False) as stage:
-        _compute_scene(folder, stage, source, kind, is_new, show)
+        _compute_scene(folder, stage, source, clip, kind, is_new, show)
     shutil.rmtree(folder.path / SET_ASIDE, ignore_errors=True)
     return folder
 
@@ -108,11 +108,12 @@ def _set_aside(folder: RunFolder, before: Mapping[str, Any]) -> Iterator[None]:
 
 
 def _compute_scene(
-    folder: RunFolder, stage: Stage, source: Path, kind: str, is_new: bool, show: Callable[[], None] | None = None
+    folder: RunFolder, stage: Stage, source: Path, clip: Clip | None, kind: str, is_new: bool, show: Callable[[], None] | None
 ) -> None:
     """Fill the scene of a run: what the input holds, then the priors that it lacks.
 
     Args:
+        clip: what is read, where it is open already.
         show: makes a coarse scene: before the clip is read, which takes long where that is long, unless a setting can be wrong that
             only the read clip tells; that is said first.
     """
@@ -122,7 +123,7 @@ def _compute_scene(
         show()
     started = time.perf_counter()
     try:
-        scene = _read_input(source, kind, folder.scene_path, config)
+        scene = _read_input(source, clip, kind, folder.scene_path, config)
         settle(scene, config.render)  # Whatever is wrong with the videos is said before minutes of other work.
         check_places(scene, config.priors)
     except InputError:
@@ -175,13 +176,13 @@ def _clear(out: Path) -> None:
             entry.unlink(missing_ok=True)
 
 
-def _read_input(source: Path, kind: str, target: Path, config: RunConfig) -> Scene:
+def _read_input(source: Path, clip: Clip | None, kind: str, target: Path, config: RunConfig) -> Scene:
     """Return the scene folder with everything of the input in it, as far as it is not there yet."""
     if kind == "scene":
         return copy_scene(source, target)
     if (target / "scene.json").exists() and Scene(target).info.ingested:
         return Scene(target)
-    return ingest(open_clip(source, config.input), target, config.input)
+    return ingest(clip or open_clip(source, config.input), target, config.input)
 
 
 def _scene_identity(source: Path) -> str:

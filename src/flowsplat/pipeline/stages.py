@@ -256,6 +256,8 @@ def render_run(folder: RunFolder, options: RenderOptions | None = None) -> dict[
 
 
 def _render(folder: RunFolder, options: RenderOptions | None) -> dict[str, Any]:
+    if folder.is_finished("train", train_key(folder)) and not has_model(folder.model_path):
+        raise InputError(f"{folder.model_path} is gone: flowsplat train {folder.path} trains it again.")
     result = _Result(folder)
     metrics = _evaluate(folder, result)
     fit_heldout(folder)

@@ -6,7 +6,7 @@ A format module opens its files as a ``Clip``; ``ingest`` writes any ``Clip`` in
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Protocol
@@ -19,6 +19,7 @@ from flowsplat.common.bounds import bounds_in_help, check_bounds
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 from flowsplat.scenes.layers import Depth, Flow, Tracks
+from flowsplat.scenes.repeats import FADE_SECONDS, MAX_REPEATS, find_fades, find_repeats, measure_changes
 from flowsplat.scenes.scene import HeldoutView
 
 LONG_SIDE = 854
@@ -58,6 +59,8 @@ class InputOptions:
     """Name of the sequence, where the input is the root folder of the DAVIS data set."""
     fps: Annotated[float, Meta(ge=MIN_FPS, le=MAX_FPS)] = 24.0
     """Frames a second of a folder of images."""
+    keep_all: bool = False
+    """Keep frames that only repeat the one before, blank frames and fades, which are left out otherwise."""
 
     def check(self) -> None:
         """Refuse values that make no sense.
@@ -89,14 +92,19 @@ class Selection:
     notes: list[str]
 
 
-def select_frames(seconds: np.ndarray, options: InputOptions, source: str) -> Selection:
-    """Choose frames by time, then thin them out evenly until at most ``max_frames`` remain.
+Look = Callable[[np.ndarray], Iterable[np.ndarray | None]]
+"""Yields the frames of rising numbers as gray images [h, w] uint8 of ``repeats.look_size``; None where one cannot be read."""
+
+
+def select_frames(seconds: np.ndarray, options: InputOptions, source: str, look: Look | None = None) -> Selection:
+    """Choose frames by time, leave out those that show nothing of their own, then thin out evenly to at most ``max_frames``.
 
     An automatic ``every`` thins until all of the time span fits; a chosen one is kept, and what does not fit is cut off the end.
 
     Args:
         seconds: [N] rising, when each frame of the input is shown.
         source: name of the input, for messages.
+        look: shows frames; without it, none is left out.
 
     Raises:
         InputError: fewer than two frames remain.
@@ -111,7 +119,10 @@ def select_frames(seconds: np.ndarray, options: InputOptions, source: str) -> Se
     notes = []
     if len(inside) < len(seconds):
         notes.append(f"Used {len(inside)} of {len(seconds)} frames, chosen by --start and --end.")
-    every = options.every or max(1, -(-len(inside) // options.max_frames))
+    if look is not None and not options.keep_all:
+        inside, left_out = _leave_out(inside, elapsed, options, look)
+        notes += left_out
+    every = _choose_every(len(inside), options)
     thinned = inside[::every]
     numbers = thinned[: options.max_frames]
     if every > 1:
@@ -132,6 +143,38 @@ def select_frames(seconds: np.ndarray, options: InputOptions, source: str) -> Se
             "choose a shorter piece with --start and --end."
         )
     return Selection(numbers, elapsed[numbers] - elapsed[numbers[0]], float(seconds[numbers[0]]), notes)
+
+
+def _choose_every(count: int, options: InputOptions) -> int:
+    return options.every or max(1, -(-count // options.max_frames))
+
+
+def _leave_out(inside: np.ndarray, elapsed: np.ndarray, options: InputOptions, look: Look) -> tuple[np.ndarray, list[str]]:
+    """Return the numbers of ``inside`` without blank frames, fades and repeats, and what is said of those.
+
+    What is thinned so far that no repeat can be chosen beside its twin is looked at only where fades are, at both ends.
+    """
+    if len(inside) < 2:
+        return inside, []
+    times = elapsed[inside]
+    thinned = _choose_every(len(inside), options) > MAX_REPEATS
+    looked = (np.minimum(times - times[0], times[-1] - times) <= FADE_SECONDS) | (not thinned)
+    found = measure_changes(look(inside[looked]), int(looked.sum()))
+    contrasts = np.full(len(inside), np.inf)
+    contrasts[looked] = found.contrasts
+    faded = find_fades(contrasts, times)
+    repeated = np.zeros(len(inside), bool) if thinned else find_repeats(found.steps) & ~faded
+    if (~faded & ~repeated).sum() < 2:
+        return inside, []
+    notes = []
+    if faded.any():
+        notes.append(f"Left out {faded.sum()} of {len(inside)} frames, which are blank or fade: keep them with --keep-all.")
+    if repeated.any():
+        notes.append(
+            f"Left out {repeated.sum()} of {len(inside)} frames, which only repeat the one before, as a change of the frame rate "
+            "leaves them: keep them with --keep-all."
+        )
+    return inside[~faded & ~repeated], notes
 
 
 def choose_working_size(width: int, height: int, options: InputOptions, source: str) -> tuple[tuple[int, int], list[str]]:

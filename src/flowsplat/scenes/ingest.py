@@ -16,12 +16,12 @@ from flowsplat.common.spread import spread
 from flowsplat.images.sound import keep_sound
 from flowsplat.scenes.clip import Clip, InputOptions
 from flowsplat.scenes.formats.davis import IMAGES, open_davis, sequence_folders
-from flowsplat.scenes.formats.images import IMAGE_SUFFIXES, list_images, open_images
+from flowsplat.scenes.formats.images import IMAGE_SUFFIXES, is_animated, list_images, open_images
 from flowsplat.scenes.formats.masks import require_rest
 from flowsplat.scenes.formats.nerfies import is_nerfies, open_nerfies
 from flowsplat.scenes.formats.nvidia import RAW_IMAGES, TARGET, is_nvidia, open_nvidia, target_folder
 from flowsplat.scenes.formats.rig import open_rig
-from flowsplat.scenes.formats.video import open_video
+from flowsplat.scenes.formats.video import VIDEO_SUFFIXES, open_video
 from flowsplat.scenes.scene import Scene, split_frames
 
 __all__ = ["InputOptions", "fingerprint", "ingest", "kind_of_input", "open_clip"]
@@ -46,6 +46,8 @@ def kind_of_input(path: Path) -> str:
     if not path.is_dir():
         ordinary_file(path)
         if path.suffix.lower() in IMAGE_SUFFIXES:
+            if is_animated(path):
+                raise InputError(f"{path} is an animated WebP, which is not read: make a video, a GIF or a folder of frames of it.")
             raise InputError(f"{path} is a single image: give a video, or a folder with at least two frames.")
         return "video"
     if is_nerfies(path):  # has a scene.json, too
@@ -60,6 +62,11 @@ def kind_of_input(path: Path) -> str:
         return "nvidia"
     if (path / "images").is_dir() or list_images(path):
         return "images"
+    videos = sorted(file for file in path.iterdir() if file.suffix.lower() in VIDEO_SUFFIXES and file.is_file())
+    if len(videos) == 1:
+        raise InputError(f"{path} is a folder with a video: give {videos[0]}.")
+    if videos:
+        raise InputError(f"{path} holds {len(videos)} videos: give one, as {videos[0]}, or the folder to flowsplat batch.")
     raise InputError(
         f"{path} has no images (jpg, png, webp, tiff or bmp) and no images/ folder: give a video or a folder of frames."
     )

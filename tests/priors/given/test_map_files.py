@@ -232,15 +232,35 @@ def test_sparse_flow_is_not_mixed_with_nothing(scene: Scene, tmp_path: Path):
 def test_flow_of_more_frames_than_the_clip_has_is_refused(scene: Scene, tmp_path: Path):
     for i, j in consecutive_pairs(scene) + [(7, 8)]:
         np.savez(tmp_path / f"{i:05d}_{j:05d}.npz", flow=np.zeros((48, 85, 2), np.float32), confidence=np.ones((48, 85)))
-    with pytest.raises(InputError, match="holds 9 images, but the clip has 5 frames"):
+    with pytest.raises(InputError, match="has images up to number 00008, but the clip has 5 frames, 00000 to 00004"):
         read_flow(tmp_path, scene)
 
 
 def test_masks_of_more_frames_than_the_clip_has_are_refused(scene: Scene, tmp_path: Path):
     for i in range(2 * FRAMES):
         cv2.imwrite(str(tmp_path / f"{i:05d}.png"), np.zeros(SIZE[::-1], np.uint8))
-    with pytest.raises(InputError, match="holds 10 files with a mask, but the clip has 5 frames"):
+    with pytest.raises(InputError, match="has files with a mask up to number 00009, but the clip has 5 frames"):
         use_given(scene, GivenPriors(masks=tmp_path))
+
+
+def test_files_that_are_counted_from_one(scene: Scene, tmp_path: Path):
+    """As FFmpeg numbers them: one a frame is taken in order; one too many is refused, with the number that stands there."""
+    for i in range(FRAMES):
+        mask = np.zeros(SIZE[::-1], np.uint8)
+        mask[:20, i : i + 20] = 255
+        cv2.imwrite(str(tmp_path / f"{i + 1:05d}.png"), mask)
+    use_given(scene, GivenPriors(masks=tmp_path))
+    assert [int((scene.mask(i) > 0).any(0).argmax()) for i in scene.train_frames] == scene.train_frames
+    cv2.imwrite(str(tmp_path / f"{FRAMES + 1:05d}.png"), np.zeros(SIZE[::-1], np.uint8))
+    with pytest.raises(InputError, match="up to number 00006, but the clip has 5 frames"):
+        use_given(scene, GivenPriors(masks=tmp_path))
+
+
+def test_depth_as_images_is_named(scene: Scene, tmp_path: Path):
+    for i in range(FRAMES):
+        cv2.imwrite(str(tmp_path / f"{i:05d}.png"), np.ones(SIZE[::-1], np.uint16))
+    with pytest.raises(InputError, match=r"00000\.png cannot be read as depth: it must be 00000\.npy"):
+        open_depth(tmp_path, scene)
 
 
 def test_bad_flow_is_refused_in_one_line(scene: Scene, tmp_path: Path):

@@ -7,7 +7,7 @@ import numpy as np
 
 from flowsplat.common.progress import track
 from flowsplat.geometry.interpolation import sample_map
-from flowsplat.priors.continuity import is_blank
+from flowsplat.images.blank import is_blank
 from flowsplat.priors.flow import dis_flow, gray
 from flowsplat.priors.tracks import TrackTable, corner_strength, new_points, oldest_of_crowds, refine_points
 from flowsplat.priors.tracks.patches import Patches, align

@@ -81,7 +81,7 @@ def read_colmap(model: Path, scene: Scene) -> list[Camera]:
             raise InputError(f"{path}: {image.name} has camera {image.camera}, which cameras{suffix} does not hold.")
         name, width, height, parameters = lenses[image.camera]
         K, distortion = _lens(name, parameters)
-        require_pinhole(model / f"cameras{suffix}", K, width, height, distortion)
+        require_pinhole(model / f"cameras{suffix}", K, width, height, distortion, " (colmap image_undistorter)")
         rotation = quats_to_rotations(torch.tensor(image.quat, dtype=torch.float64)).numpy()
         cameras.append(Camera(rigid(rotation, image.translation), K, width, height))
     return cameras

@@ -19,6 +19,10 @@ SLAM_MULTIPLE = 8
 """Their sides are then cropped, at the right and at the bottom, to a multiple of this."""
 
 
+CHOOSING = "--start, --end, --every, --max-frames and --keep-all choose the frames of the clip"
+"""What an error says of a number of frames that does not fit."""
+
+
 def require_shape(path: Path, width: int, height: int, scene: Scene) -> None:
     """Refuse what has another shape than the frames.
 
@@ -39,10 +43,7 @@ def require_frames(path: Path, count: int, scene: Scene, what: str) -> None:
         InputError: ``count`` is not the number of frames.
     """
     if count != scene.num_frames:
-        raise InputError(
-            f"{path} holds {count} {what}, but the clip has {scene.num_frames} frames: give one a frame "
-            "(--start, --end, --every and --max-frames choose the frames of the clip)."
-        )
+        raise InputError(f"{path} holds {count} {what}, but the clip has {scene.num_frames} frames: give one a frame ({CHOOSING}).")
 
 
 def refuse_later_frames(path: Path, names: Iterable[str], scene: Scene, what: str) -> None:
@@ -54,16 +55,19 @@ def refuse_later_frames(path: Path, names: Iterable[str], scene: Scene, what: st
     Raises:
         InputError: a number is not of a frame.
     """
-    count = 1 + max((int(name) for name in names if name.isdecimal() and len(name) == 5), default=-1)
-    if count > scene.num_frames:
-        require_frames(path, count, scene, what)
+    last = max((int(name) for name in names if name.isdecimal() and len(name) == 5), default=-1)
+    if last >= scene.num_frames:
+        raise InputError(
+            f"{path} has {what} up to number {last:05d}, but the clip has {scene.num_frames} frames, 00000 to "
+            f"{scene.num_frames - 1:05d}: number them so ({CHOOSING})."
+        )
 
 
 def files_by_frame(folder: Path, suffixes: Sequence[str], scene: Scene, what: str) -> dict[int, Path]:
     """Return the file of every frame, by its number.
 
     Files are called ``00000`` ..., and those of held-out frames may be missing; or there is exactly one a frame under
-    any names, whose natural order is theirs.
+    any names, whose natural order is theirs, ``00001`` and so on among them.
 
     Raises:
         InputError: neither is the case.
@@ -72,6 +76,8 @@ def files_by_frame(folder: Path, suffixes: Sequence[str], scene: Scene, what: st
         raise InputError(f"{folder} is no folder: give one with {what} for every training frame.")
     found = sorted((p for p in folder.iterdir() if p.suffix.lower() in suffixes and p.name[0] != "."), key=natural_key)
     by_stem = {path.stem: path for path in found}
+    if sorted(by_stem) == [f"{i + 1:05d}" for i in range(scene.num_frames)]:  # FFmpeg counts files from 1
+        return dict(enumerate(found))
     refuse_later_frames(folder, by_stem, scene, f"files with {what}")
     numbered = {i: by_stem[f"{i:05d}"] for i in range(scene.num_frames) if f"{i:05d}" in by_stem}
     missing = [i for i in scene.train_frames if i not in numbered]
@@ -80,7 +86,11 @@ def files_by_frame(folder: Path, suffixes: Sequence[str], scene: Scene, what: st
     if len(found) == scene.num_frames:
         return dict(enumerate(found))
     if numbered or not found:
-        raise InputError(f"{folder / f'{missing[0]:05d}{suffixes[0]}'} does not exist: give {what} for every training frame.")
+        stem = f"{missing[0]:05d}"
+        others = sorted(p for p in folder.iterdir() if p.stem.split(".")[0] == stem and p.name[0] != ".")
+        if others:
+            raise InputError(f"{others[0]} cannot be read as {what}: it must be {stem}{suffixes[0]}. {folder} has no such file.")
+        raise InputError(f"{folder / f'{stem}{suffixes[0]}'} does not exist: give {what} for every training frame.")
     require_frames(folder, len(found), scene, f"files with {what}")
     raise AssertionError("unreachable")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from flowsplat.common.errors import InputError
@@ -37,4 +38,4 @@ def open_davis(root: Path, options: InputOptions) -> ImagesClip:
         InputError: no such sequence, or files that do not fit.
     """
     folder, masks = sequence_folders(Path(root), options.sequence)
-    return open_images(folder, options, masks)
+    return open_images(folder, replace(options, keep_all=True), masks)  # its frames are numbered for everybody

@@ -14,6 +14,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.scenes.clip import Clip, InputOptions, choose_working_size, resize_image, select_frames
 from flowsplat.scenes.formats.masks import GivenMasks
 from flowsplat.scenes.layers import decode_image
+from flowsplat.scenes.repeats import look_size
 
 _EIGHT_BITS = np.rint(np.arange(65536) / 257).astype(np.uint8)
 IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp"}
@@ -32,6 +33,13 @@ def list_images(folder: Path) -> list[Path]:
     return sorted(found, key=natural_key)
 
 
+def is_animated(path: Path) -> bool:
+    """Return whether a file is an animated WebP (https://developers.google.com/speed/webp/docs/riff_container)."""
+    with path.open("rb") as file:
+        head = file.read(21)
+    return head[:4] == b"RIFF" and head[8:16] == b"WEBPVP8X" and len(head) == 21 and bool(head[20] & 2)
+
+
 def read_input_image(path: Path) -> np.ndarray:
     """Any image as RGB [H, W, 3] uint8: turned upright by its EXIF tag, 16 bits reduced to 8, alpha dropped.
 
@@ -46,6 +54,17 @@ def read_input_image(path: Path) -> np.ndarray:
     if image.dtype != np.uint8:
         raise InputError(f"{path} has {image.dtype} values: save images with 8 or 16 bits a channel.")
     return np.ascontiguousarray(image[..., ::-1])
+
+
+def _look(paths: Sequence[Path]) -> Iterator[np.ndarray | None]:
+    """Yield small gray images, None for files that are no images: those that are chosen are refused later."""
+    for path in paths:
+        try:
+            gray = cv2.cvtColor(read_input_image(path), cv2.COLOR_RGB2GRAY)
+        except InputError:
+            yield None
+        else:
+            yield resize_image(gray, look_size(gray.shape[1], gray.shape[0]))
 
 
 @dataclass(kw_only=True)
@@ -91,7 +110,8 @@ def open_images(folder: Path, options: InputOptions, masks: Path | None = None, 
         if path.stem in stems:
             raise InputError(f"{path} and {stems[path.stem]} have the same name: keep only one of them.")
         stems[path.stem] = path
-    selection = select_frames(np.arange(len(paths)) / options.fps, options, str(folder))
+    seconds = np.arange(len(paths)) / options.fps
+    selection = select_frames(seconds, options, str(folder), lambda numbers: _look([paths[n] for n in numbers]))
     chosen = [paths[i] for i in selection.numbers]
     height, width = read_input_image(chosen[0]).shape[:2]
     size, notes = choose_working_size(width, height, options, str(folder))

@@ -14,13 +14,14 @@ MAX_DISTORTION = 1.0
 """Pixels by which a lens may move a point of the image's border and still count as a pinhole. Chosen by eye."""
 
 
-def require_pinhole(where: Path | str, K: np.ndarray, width: int, height: int, distortion: Sequence[float]) -> None:
+def require_pinhole(where: Path | str, K: np.ndarray, width: int, height: int, distortion: Sequence[float], cure: str = "") -> None:
     """Refuse a lens that is no pinhole.
 
     Args:
         where: what to call the file in an error.
         K: [3, 3] in pixels of an image of ``width`` x ``height``.
         distortion: k1, k2, p1, p2, k3, ... as OpenCV orders them.
+        cure: what undistorts such images, in brackets for the error.
 
     Raises:
         InputError: it moves points of the border by more than ``MAX_DISTORTION`` pixels.
@@ -35,6 +36,6 @@ def require_pinhole(where: Path | str, K: np.ndarray, width: int, height: int, d
     error = float(np.linalg.norm(moved[:, 0] - border, axis=1).max())
     if not error <= MAX_DISTORTION:  # so that NaN is refused, too
         raise InputError(
-            f"{where} describes a lens that bends the image by {error:.1f} pixels: undistort the images first "
-            "(colmap image_undistorter), and give the cameras of the undistorted ones."
+            f"{where} describes a lens that bends the image by {error:.1f} pixels: undistort the images first{cure}, "
+            "and give the cameras of the undistorted ones."
         )

@@ -36,7 +36,8 @@ def transforms_camera(where: Path | str, values: Mapping[str, Any], size: tuple[
     fy = positive(values.get("fl_y", fx), "fl_y")
     cx, cy = float(values.get("cx", width / 2)), float(values.get("cy", height / 2))
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
-    require_pinhole(where, K, width, height, [float(values.get(name, 0)) for name in ("k1", "k2", "p1", "p2", "k3")])
+    distortion = [float(values.get(name, 0)) for name in ("k1", "k2", "p1", "p2", "k3")]
+    require_pinhole(where, K, width, height, distortion, " (cv2.undistort)")
     return Camera(from_opengl(values["transform_matrix"], "transform_matrix"), K, width, height)
 
 

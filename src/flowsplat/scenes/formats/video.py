@@ -17,10 +17,17 @@ from flowsplat.common.errors import InputError
 from flowsplat.images.media import open_media
 from flowsplat.scenes.clip import Clip, InputOptions, choose_working_size, resize_image, select_frames
 from flowsplat.scenes.formats.video_color import VideoColors, colors_of, decode_rgb, to_srgb
+from flowsplat.scenes.repeats import look_size
 
+VIDEO_SUFFIXES = (
+    ".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".mts", ".m2ts", ".3gp", ".ogv", ".wmv", ".flv", ".gif",
+)  # fmt: skip
+"""Files of a folder that are taken for clips; a clip that is given by its own name may be called anything."""
 SEEK_MARGIN = 2.0
 """Seconds before the first wanted frame to which decoding jumps. Chosen by eye."""
 
+_SHRINKING = 0x20 | 0x40000 | 0x80000
+"""swscale's flags AREA | ACCURATE_RND | BITEXACT, as in ``video_color``."""
 TEXT_CODECS = {"ansi", "bintext", "idf", "xbin"}
 """FFmpeg plays text files as images of their letters."""
 PACKET_CODECS = {"h264", "hevc", "vvc", "vp9", "av1", "libdav1d", "mjpeg", "prores", "dnxhd"}
@@ -147,6 +154,39 @@ def orient(image: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(image[:: -1 if flip_y else 1, :: -1 if flip_x else 1])
 
 
+def _decode(path: Path, index: _Index, first: int) -> Iterator[tuple[int, av.VideoFrame]]:
+    """Decoded frames with their keys, from ``first`` or earlier on."""
+    if index.has_timestamps and first > index.keys[0]:
+        with _open_container(path) as (container, stream), contextlib.suppress(av.FFmpegError):
+            margin = int(SEEK_MARGIN / float(stream.time_base or 1))
+            container.seek(max(first - margin, int(index.keys[0])), stream=stream, backward=True)
+            frames = ((int(frame.pts), frame) for frame in container.decode(stream) if frame.pts is not None)
+            start = next(frames, None)
+            if start is not None and start[0] <= first:
+                yield start
+                yield from frames
+                return
+    # Some containers cannot seek, or land too late: then everything is decoded.
+    with _open_container(path) as (container, stream), contextlib.suppress(av.FFmpegError):
+        for count, frame in enumerate(container.decode(stream)):
+            yield (int(frame.pts or 0) if index.has_timestamps else count), frame
+
+
+def _look(path: Path, index: _Index, numbers: np.ndarray, size: tuple[int, int]) -> Iterator[np.ndarray | None]:
+    """Yield small gray images of the frames ``numbers``, up to one that cannot be decoded: ``VideoClip.frames`` tells of it."""
+    wanted = index.keys[numbers]
+    found = 0
+    for key, frame in _decode(path, index, int(wanted[0])):
+        while found < len(wanted) and wanted[found] < key:
+            yield None
+            found += 1
+        if found == len(wanted):
+            return
+        if key == wanted[found]:
+            yield frame.reformat(*size, format="gray", interpolation=_SHRINKING).to_ndarray()
+            found += 1
+
+
 @dataclass(kw_only=True)
 class VideoClip(Clip):
     """Chosen frames of a video file.
@@ -172,7 +212,7 @@ class VideoClip(Clip):
         if not wanted:
             return
         found = 0
-        for key, frame in self._decode(wanted[0]):
+        for key, frame in _decode(self.path, self.index, wanted[0]):
             if key < wanted[found]:
                 continue
             if key > wanted[found] or frame.is_corrupt:
@@ -186,23 +226,6 @@ class VideoClip(Clip):
             f"{self.path} is damaged at second {second:.2f}: only {numbers[found]} of {self.num_frames} frames can be read. "
             "Copy it again, or leave the damage out with --start and --end."
         )
-
-    def _decode(self, first: int) -> Iterator[tuple[int, av.VideoFrame]]:
-        """Decoded frames with their keys, from ``first`` or earlier on."""
-        if self.index.has_timestamps and first > self.index.keys[0]:
-            with _open_container(self.path) as (container, stream), contextlib.suppress(av.FFmpegError):
-                margin = int(SEEK_MARGIN / float(stream.time_base or 1))
-                container.seek(max(first - margin, int(self.index.keys[0])), stream=stream, backward=True)
-                frames = ((int(frame.pts), frame) for frame in container.decode(stream) if frame.pts is not None)
-                start = next(frames, None)
-                if start is not None and start[0] <= first:
-                    yield start
-                    yield from frames
-                    return
-        # Some containers cannot seek, or land too late: then everything is decoded.
-        with _open_container(self.path) as (container, stream), contextlib.suppress(av.FFmpegError):
-            for count, frame in enumerate(container.decode(stream)):
-                yield (int(frame.pts or 0) if self.index.has_timestamps else count), frame
 
     def _image(self, frame: av.VideoFrame) -> np.ndarray:
         _check_frame(frame, self.path)
@@ -236,7 +259,8 @@ def open_video(path: Path, options: InputOptions) -> VideoClip:
         index = _Index(index.keys[shown], index.seconds[shown], True, index.fps)
     _check_frame(first, path)
     colors = colors_of(first, str(path))
-    selection = select_frames(index.seconds, options, str(path))
+    size = look_size(first.width, first.height)
+    selection = select_frames(index.seconds, options, str(path), lambda numbers: _look(path, index, numbers, size))
     matrix = display_matrix(first)
     notes = list(selection.notes)
     shown_size = (max(1, round(first.width * aspect)), first.height)
