@@ -401,7 +401,8 @@ READERS = (
         Reader(f"given {name}, {Path(place).name}", f"given/{place}", ("*",), _given_of(name, file))
         for name, place, file in (
             ("cameras", "own", "own.json"), ("cameras", "cameras", ""), ("cameras", "text", ""), ("cameras", "binary", ""),
-            ("cameras", "megasam", "a.npz"), ("depth", "depth", ""), ("depth", "depth_png", ""), ("depth", "disparity_disp", ""), ("depth", "mosca_depth", ""),
+            ("cameras", "megasam", "a.npz"), ("depth", "depth", ""), ("depth", "depth_png", ""),
+            ("depth", "disparity_disp", ""), ("depth", "mosca_depth", ""),
             ("depth", "megasam", "a.npz"), ("masks", "masks", ""), ("flow", "flow", ""), ("flow", "flo", ""), ("flow", "kitti", ""),
             ("flow", "mosca_flow", ""), ("flow", "cache", ""), ("tracks", "tracks/tapir", ""), ("tracks", "tracks/marbles", ""),
             ("tracks", "tracks/mosca", ""), ("tracks", "tracks/cotracker", "a.npz"), ("tracks", "tracks/tapnet", "a.npz"),
