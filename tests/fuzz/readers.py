@@ -182,7 +182,19 @@ def given_scene(folder: Path, size: tuple[int, int], frames: int) -> Scene:
 
 def _given(folder: Path) -> None:
     others, maps, tracks = cameras_of_others, maps_of_others, tracks_of_others
-    for name in ("cameras", "depth", "disparity_disp", "mosca_depth", "masks", "flow", "flo", "kitti", "mosca_flow", "megasam"):
+    for name in (
+        "cameras",
+        "depth",
+        "depth_png",
+        "disparity_disp",
+        "mosca_depth",
+        "masks",
+        "flow",
+        "flo",
+        "kitti",
+        "mosca_flow",
+        "megasam",
+    ):
         (folder / name).mkdir(parents=True)
     (folder / "cameras" / "transforms.json").write_text(json.dumps(others.transforms()))
     others.colmap_text(folder / "text")
@@ -193,6 +205,7 @@ def _given(folder: Path) -> None:
     wide = np.full((48, 85), 2.0, np.float32)
     for i in range(maps.FRAMES):
         np.save(folder / "depth" / f"{i:05d}.npy", wide)
+        cv2.imwrite(str(folder / "depth_png" / f"{i:05d}.png"), np.full((48, 85), 2000, np.uint16))
         np.save(folder / "disparity_disp" / f"{i:05d}.npy", wide)
         np.savez_compressed(folder / "mosca_depth" / f"{i:05d}.npz", dep=wide)
         write_image_file(folder / "masks" / f"{i:05d}.png", np.pad(np.full((24, 40), i, np.uint8), ((0, 24), (0, 45))))
@@ -388,7 +401,8 @@ READERS = (
         Reader(f"given {name}, {Path(place).name}", f"given/{place}", ("*",), _given_of(name, file))
         for name, place, file in (
             ("cameras", "own", "own.json"), ("cameras", "cameras", ""), ("cameras", "text", ""), ("cameras", "binary", ""),
-            ("cameras", "megasam", "a.npz"), ("depth", "depth", ""), ("depth", "disparity_disp", ""), ("depth", "mosca_depth", ""),
+            ("cameras", "megasam", "a.npz"), ("depth", "depth", ""), ("depth", "depth_png", ""),
+            ("depth", "disparity_disp", ""), ("depth", "mosca_depth", ""),
             ("depth", "megasam", "a.npz"), ("masks", "masks", ""), ("flow", "flow", ""), ("flow", "flo", ""), ("flow", "kitti", ""),
             ("flow", "mosca_flow", ""), ("flow", "cache", ""), ("tracks", "tracks/tapir", ""), ("tracks", "tracks/marbles", ""),
             ("tracks", "tracks/mosca", ""), ("tracks", "tracks/cotracker", "a.npz"), ("tracks", "tracks/tapnet", "a.npz"),

@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Protocol
+from typing import Annotated, Literal, Protocol
 
 import cv2
 import numpy as np
@@ -57,6 +57,8 @@ class InputOptions:
     """Hold one frame in so many out of training, to measure with; none trains on all. Input with held-out cameras trains on all."""
     sequence: str | None = None
     """Name of the sequence, where the input is the root folder of the DAVIS data set."""
+    crop: Literal["auto", "off"] = "auto"
+    """Cut black bars round what videos and folders of images show (letterbox, pillarbox), or keep all."""
     fps: Annotated[float, Meta(ge=MIN_FPS, le=MAX_FPS)] = 24.0
     """Frames a second of a folder of images."""
     keep_all: bool = False

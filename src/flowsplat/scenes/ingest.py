@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from flowsplat.common.progress import progress_bar
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.spread import spread
 from flowsplat.images.sound import keep_sound
+from flowsplat.scenes.bars import cut_bars, find_content, sample_frames
 from flowsplat.scenes.clip import Clip, InputOptions
 from flowsplat.scenes.formats.davis import IMAGES, open_davis, sequence_folders
 from flowsplat.scenes.formats.images import IMAGE_SUFFIXES, is_animated, list_images, open_images
@@ -89,21 +90,28 @@ def open_clip(path: Path, options: InputOptions) -> Clip:
     kind = kind_of_input(path)
     if options.sequence is not None and kind != "davis":
         raise InputError(f"--sequence {options.sequence} needs the root folder of DAVIS, which {path} is not.")
-    if kind == "video":
-        return open_video(path, options)
+    if kind in ("video", "davis", "images"):
+        clip = _open_uncalibrated(kind, path, options)
+        if options.crop == "auto" and find_content(sample_frames(clip)) is not None:
+            return cut_bars(_open_uncalibrated(kind, path, replace(options, resize=0)), options)
+        return clip
     if kind == "rig":
         return open_rig(path, options)
-    if kind == "davis":
-        return open_davis(path, options)
     if kind == "nvidia":
         return open_nvidia(path, options)
     if kind == "nerfies":
         return open_nerfies(path, options)
-    if kind == "images":
-        folder, masks = _image_folders(path)
-        clip = path.resolve()
-        return open_images(folder, options, masks, name=clip.parent.name if clip.name == "images" else clip.name)
     raise InputError(ALREADY.format(path))
+
+
+def _open_uncalibrated(kind: str, path: Path, options: InputOptions) -> Clip:
+    if kind == "video":
+        return open_video(path, options)
+    if kind == "davis":
+        return open_davis(path, options)
+    folder, masks = _image_folders(path)
+    clip = path.resolve()
+    return open_images(folder, options, masks, name=clip.parent.name if clip.name == "images" else clip.name)
 
 
 def ingest(clip: Clip, folder: Path, options: InputOptions) -> Scene:

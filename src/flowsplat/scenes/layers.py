@@ -16,8 +16,9 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -182,6 +183,23 @@ def decode_image(path: Path, flags: int, expected: tuple[int, int] | None = None
             return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
         return None
+
+
+def find_turn(path: Path) -> Callable[[np.ndarray], np.ndarray]:
+    """Return how OpenCV turns an image upright by its EXIF tag; of what cannot be read, not at all."""
+    upright, stored = (decode_image(path, cv2.IMREAD_COLOR | flag) for flag in (0, cv2.IMREAD_IGNORE_ORIENTATION))
+    turns: list[Callable[[np.ndarray], np.ndarray]] = [
+        partial(_turn, quarters=quarters, mirrors=mirrors) for mirrors in (False, True) for quarters in range(4)
+    ]
+    if upright is None or stored is None:
+        return turns[0]
+    # OpenCV does not tell what it does.
+    return next((turn for turn in turns if np.array_equal(turn(stored), upright)), turns[0])
+
+
+def _turn(image: np.ndarray, quarters: int, mirrors: bool) -> np.ndarray:
+    turned = np.rot90(image, quarters)
+    return np.ascontiguousarray(turned[:, ::-1] if mirrors else turned)
 
 
 def read_image(path: Path, expected: tuple[int, int] | None = None) -> np.ndarray:

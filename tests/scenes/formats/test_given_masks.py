@@ -14,6 +14,9 @@ from flowsplat.common.errors import InputError
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.formats.davis import open_davis
 from flowsplat.scenes.formats.images import ImagesClip, open_images
+from tests.scenes.conftest import make_image, write_image_file
+
+from .test_images import turn_by_exif
 
 SHAPE = (48, 64)
 DAVIS_PALETTE = [(0, 0, 0), (128, 0, 0), (0, 128, 0), (128, 128, 0), (0, 0, 128)]
@@ -223,3 +226,47 @@ def test_colors_of_16_bits_are_as_many_objects(folder, write_image_file):
         write_image_file(folder / "masks" / f"{i:05d}.png", colors)
     clip = open_with_masks(folder)
     assert np.unique(clip.mask(0)).tolist() == [0, 1, 2]
+
+
+def write_turned(folder: Path, orientation: int, mask: np.ndarray, suffix: str, mask_orientation: int | None = None) -> ImagesClip:
+    """Three JPEGs that EXIF turns, each with that mask."""
+    for i in range(3):
+        turn_by_exif(write_image_file(folder / "images" / f"{i}.jpg", make_image(i)), orientation)
+        path = write_image_file(folder / "masks" / f"{i}{suffix}", mask)
+        if mask_orientation is not None:
+            turn_by_exif(path, mask_orientation)
+    return open_with_masks(folder)
+
+
+@pytest.mark.parametrize(("orientation", "quarters"), [(6, -1), (8, 1)])
+@pytest.mark.parametrize("mask_is", ["stored as its image", "upright", "turned by EXIF"])
+def test_masks_lie_on_images_that_exif_turns(tmp_path: Path, orientation: int, quarters: int, mask_is: str):
+    stored = np.zeros(SHAPE, np.uint8)
+    stored[4:16, 8:56] = 255
+    upright = np.rot90(stored, quarters)
+    if mask_is == "turned by EXIF":
+        clip = write_turned(tmp_path, orientation, stored, ".jpg", orientation)
+    else:
+        clip = write_turned(tmp_path, orientation, upright if mask_is == "upright" else stored, ".png")
+    assert (clip.width, clip.height) == SHAPE
+    for i in range(3):
+        np.testing.assert_array_equal(clip.mask(i), upright > 0)
+    assert any("Masks were turned" in note for note in clip.notes) == (mask_is == "stored as its image")
+    assert not any("taken as they are" in note for note in clip.notes)
+
+
+@pytest.mark.parametrize("has_tag", [False, True])
+def test_half_a_turn_is_not_told_by_sizes(tmp_path: Path, has_tag: bool):
+    stored = np.zeros(SHAPE, np.uint8)
+    stored[4:16, 8:40] = 255
+    clip = write_turned(tmp_path, 3, stored, ".jpg" if has_tag else ".png", 3 if has_tag else None)
+    np.testing.assert_array_equal(clip.mask(1), np.rot90(stored, 2) > 0 if has_tag else stored > 0)
+    assert any("taken as they are" in note for note in clip.notes) == (not has_tag)
+
+
+def test_a_mask_of_another_size_is_refused_beside_turned_images(tmp_path: Path):
+    with pytest.raises(InputError, match="masks must have the size of their images"):
+        write_turned(tmp_path, 6, np.zeros((40, 64), np.uint8), ".png")
+    shutil.rmtree(tmp_path)
+    with pytest.raises(InputError, match="masks must have the size of their images"):
+        write_turned(tmp_path, 1, np.zeros(SHAPE[::-1], np.uint8), ".png")

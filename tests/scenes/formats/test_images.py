@@ -39,13 +39,17 @@ def test_gray_alpha_and_16_bits(tmp_path, make_image, write_image_file):
     np.testing.assert_array_equal(read_input_image(deep_gray), np.repeat(rgb[..., :1], 3, -1))
 
 
-@pytest.mark.parametrize(("orientation", "turns"), [(1, 0), (3, 2), (6, -1), (8, 1)])
-def test_exif_orientation(tmp_path, make_image, write_image_file, orientation, turns):
-    path = write_image_file(tmp_path / "a.jpg", make_image(0))
-    tiff = b"MM\0*\0\0\0\x08" + struct.pack(">HHHIHHI", 1, 0x0112, 3, 1, orientation, 0, 0)
-    segment = b"Exif\0\0" + tiff
+def turn_by_exif(path: Path, orientation: int) -> Path:
+    """Say in a JPEG how it has to be turned."""
+    segment = b"Exif\0\0MM\0*\0\0\0\x08" + struct.pack(">HHHIHHI", 1, 0x0112, 3, 1, orientation, 0, 0)
     data = path.read_bytes()
     path.write_bytes(data[:2] + b"\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + data[2:])
+    return path
+
+
+@pytest.mark.parametrize(("orientation", "turns"), [(1, 0), (3, 2), (6, -1), (8, 1)])
+def test_exif_orientation(tmp_path, make_image, write_image_file, orientation, turns):
+    path = turn_by_exif(write_image_file(tmp_path / "a.jpg", make_image(0)), orientation)
     got, upright = read_input_image(path), np.rot90(make_image(0), turns)
     assert got.shape == upright.shape
     assert np.abs(got.astype(int) - upright).mean() < 3
@@ -150,3 +154,16 @@ def test_too_small(tmp_path, make_image, write_image_file):
     for i in range(2):
         write_image_file(tmp_path / f"{i}.png", make_image(i, 400, 20))
     refuse(tmp_path, "too small")
+
+
+@pytest.mark.parametrize(("alpha", "is_said"), [(0, True), (255, False), (None, False)])
+def test_alpha_that_is_left_out_is_said(tmp_path, make_image, write_image_file, alpha, is_said: bool):
+    for i in range(5):
+        image = make_image(i)
+        if alpha is not None:
+            image = np.dstack([image, np.full(image.shape[:2], 255, np.uint8)])
+            image[:9, :9, 3] = alpha
+        write_image_file(tmp_path / f"{i}.png", image)
+    notes = [note for note in open_images(tmp_path, OPTIONS).notes if "alpha" in note]
+    assert len(notes) == is_said
+    assert all("--given.masks" in note for note in notes)

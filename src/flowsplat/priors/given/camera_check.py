@@ -100,24 +100,30 @@ def _sentence(misfit: float) -> str:
     return f"they miss the images by {misfit:.2f} pixels"
 
 
-def match_frames(scene: Scene) -> list[Matches]:
-    """Return what is matched between some frames that are a little apart, held-out ones too; none of pairs of which little is seen
-    again or moves, or where the camera stands still."""
-    every = range(scene.num_frames)
+def match_frames(scene: Scene, frames: Sequence[int] | None = None, what: str = "Cameras against images") -> list[Matches]:
+    """Return what is matched between some frames that are a little apart; none of pairs of which little is seen again or moves, or
+    where the camera stands still.
+
+    Args:
+        frames: those that may be read; all of the clip, held-out ones too, where none are named.
+        what: is done with them, for the progress bar.
+    """
+    numbers = range(scene.num_frames) if frames is None else frames
     # Before a camera that stands still all that moves is nothing that rests, and every reading of its poses is the same.
-    if not all(map(scene.has_frame, every)) or stands_still(scene, every):
+    if not all(map(scene.has_frame, numbers)) or stands_still(scene, numbers):
         return []
     found = []
-    for i in track(spread(max(scene.num_frames - 1, 0), PAIRS), "Cameras against images"):
+    for k in track(spread(max(len(numbers) - 1, 0), PAIRS), what):
+        i = numbers[k]
         a = read_gray(scene, i, WORKING_SIDE)
         points = new_points(corner_strength(a), np.zeros((0, 2), np.float32), max(4, round((a.size / POINTS) ** 0.5)))
-        for gap in [gap for gap in GAPS if i + gap < scene.num_frames]:
-            b = read_gray(scene, i + gap, WORKING_SIDE)
+        for j in [numbers[k + gap] for gap in GAPS if k + gap < len(numbers)]:
+            b = read_gray(scene, j, WORKING_SIDE)
             after, ok = refine_points(a, b, points, points + sample_map(dis_flow(a, b), points), PATCH_SIDE)
             if ok.sum() >= MIN_MATCHES:
                 if np.median(np.linalg.norm(after[ok] - points[ok], axis=1)) >= MIN_MOVED:
                     size = a.shape[1], a.shape[0]
-                    found.append(Matches(i, i + gap, points[ok].astype(np.float64), after[ok].astype(np.float64), size))
+                    found.append(Matches(i, j, points[ok].astype(np.float64), after[ok].astype(np.float64), size))
                 break
     return found
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -19,13 +19,17 @@ from flowsplat.scenes.clip import resize_labels
 from flowsplat.scenes.layers import decode_image
 
 KNOWN = (
-    "a folder of 00000.npy ... (planar depth), Shape of Motion's aligned_depth_anything (disparity, .npy or 16-bit .png), "
-    "MoSca's *_depth (.npz with dep), MegaSaM's .npz with depths"
+    "a folder of 00000.npy or gray .png ... (depth or disparity), Shape of Motion's aligned_depth_anything (disparity, .npy or "
+    "16-bit .png), MoSca's *_depth (.npz with dep), MegaSaM's .npz with depths"
 )
 
 DISPARITY_FOLDERS = re.compile(r"depth_anything|_disp$", re.IGNORECASE)
-"""What the folders of Shape of Motion's disparities are called (``aligned_depth_anything``, ``unidepth_disp``), and nothing
-else about their files tells them from depth."""
+"""What the folders of Shape of Motion's disparities are called (``aligned_depth_anything``, ``unidepth_disp``). Others have such
+names, too, so it counts only beside the cameras that they are in the units of."""
+DEPTH, DISPARITY, INVERTED = "depth", "disparity", "inverted-disparity"
+"""What values can be: far is large and zero is the camera; near is large; what is left of white, so that far is large."""
+MIN_VALUE = {"Shape of Motion": 1e-6, "MoSca": 1e-3, "flowsplat": 0.0}
+"""Values up to here mean that nothing is known, as these programs write them."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +39,40 @@ class GivenDepth:
     Attributes:
         maker: whose layout it is.
         fits: makers of cameras whose units the depth has; with any others it is fitted to them.
-        read: from the number of a frame to its depth at the size of the frames, in units of its own.
+        values: from the number of a frame to its values and how well they are known, 0 or 1, both [H, W] float32 at its size.
+        kind: what the values are by the layout.
+        is_certain: whether the files themselves say so, and not only where they lie.
+        white: the largest value of the clip.
     """
 
     maker: str
     fits: tuple[str, ...]
-    read: Callable[[int], Depth]
+    values: Callable[[int], tuple[np.ndarray, np.ndarray]]
+    kind: str
+    is_certain: bool = False
+    white: float = 1.0
+
+    def inverse(self, i: int, kind: str | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return inverse depth, up to a scale and, of disparities, a shift, and confidence [H, W] of frame ``i``.
+
+        Args:
+            kind: what the values are; the default is what the layout says.
+        """
+        values, confidence = self.values(i)
+        known = confidence > 0
+        kind = kind or self.kind
+        if kind == DEPTH:
+            nearness = 1 / np.where(known, values, 1)
+        else:
+            nearness = values if kind == DISPARITY else self.white - values
+        # What is not known is as far away as the furthest.
+        furthest = nearness[known].min() if known.any() else 1.0
+        return np.where(known, nearness, np.float32(furthest)).astype(np.float32), confidence
+
+    def read(self, i: int) -> Depth:
+        """Return depth of frame ``i`` as its layout has it, in units of its own."""
+        nearness, confidence = self.inverse(i)
+        return Depth(1 / nearness, confidence)
 
 
 def open_depth(path: Path, scene: Scene) -> GivenDepth:
@@ -50,69 +82,65 @@ def open_depth(path: Path, scene: Scene) -> GivenDepth:
         InputError: missing, damaged, of no known layout, of another shape, or not for every training frame.
     """
     given = _open(Path(path), scene)
-    for i in scene.train_frames:
-        given.read(i)
-    return given
+    return replace(given, white=max(float(given.values(i)[0].max()) for i in scene.train_frames))
 
 
 def _open(path: Path, scene: Scene) -> GivenDepth:
     if path.is_file() and path.suffix == ".npz":
-        return GivenDepth(megasam.MAKER, (megasam.MAKER,), megasam.MegaSamDepth(path, scene))
+        depths = megasam.MegaSamDepth(path, scene)
+
+        def read(i: int) -> tuple[np.ndarray, np.ndarray]:
+            found = depths(i)
+            return found.depth, found.confidence
+
+        return GivenDepth(megasam.MAKER, (megasam.MAKER,), read, DEPTH, is_certain=True)
     if not path.is_dir():
         wrong = "holds no depth of a known layout" if path.exists() else "does not exist"
         raise InputError(f"{path} {wrong}. Looked for: {KNOWN}.")
     suffixes = {file.suffix.lower() for file in path.iterdir()}
     is_disparity = any(DISPARITY_FOLDERS.search(part) for part in path.resolve().parts[-3:])
-    if is_disparity and suffixes & {".npy", ".png"}:
-        files = files_by_frame(path, (".npy",) if ".npy" in suffixes else (".png",), scene, "disparity")
-        return GivenDepth("Shape of Motion", (droid.MAKER,), lambda i: _disparity(files[i], scene))
-    if ".npz" in suffixes:
-        files = files_by_frame(path, (".npz",), scene, "depth")
-        return GivenDepth("MoSca", (), lambda i: _mosca(files[i], scene))
-    files = files_by_frame(path, (".npy",), scene, "depth")
-    return GivenDepth("flowsplat", ("any",), lambda i: _read_own(files[i], scene))
+    # Of two kinds of files in one folder the one with the exact values is read.
+    suffix = next((each for each in (".npz", ".npy", ".png") if each in suffixes), ".npy")
+    if suffix == ".npz":
+        maker, kind, read_values = "MoSca", DEPTH, _read_mosca
+    elif is_disparity:
+        maker, kind, read_values = "Shape of Motion", DISPARITY, _read_map
+    else:
+        maker, kind, read_values = "flowsplat", DEPTH, _read_map
+    fits = {"Shape of Motion": (droid.MAKER,), "flowsplat": ("any",) * (suffix == ".npy")}.get(maker, ())
+    files = files_by_frame(path, (suffix,), scene, "depth")
+    return GivenDepth(maker, fits, lambda i: _read_known(files[i], read_values, MIN_VALUE[maker], scene), kind, suffix == ".npz")
 
 
-def _map(path: Path, values: np.ndarray, scene: Scene) -> np.ndarray:
+def _read_known(path: Path, read_values: Callable[[Path], np.ndarray], least: float, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Return values and 1 where they are known, each [H, W] float32 at the size of the frames."""
+    values = read_values(path)
     if values.ndim != 2 or values.dtype.kind not in "fiu":
         raise InputError(f"{path} does not hold one depth map [height, width] of numbers.")
     require_shape(path, values.shape[1], values.shape[0], scene)
     if not values.size:
         raise InputError(f"{path} holds an empty depth map.")
-    return values.astype(np.float32)
-
-
-def _read_own(path: Path, scene: Scene) -> Depth:
-    depth = _map(path, read_npy(path), scene)
-    if not (np.isfinite(depth).all() and (depth > 0).all()):
-        raise InputError(f"{path} holds depths that are not finite and positive: fill them in first.")
-    depth = resize_labels(depth, (scene.width, scene.height))
-    return Depth(depth, np.ones_like(depth))
-
-
-def _fill_unknown(depth: np.ndarray, known: np.ndarray, scene: Scene) -> Depth:
-    """Return depth at the size of the frames; where it is not known as far as the furthest, without confidence."""
-    furthest = depth[known].max() if known.any() else 1.0
+    values = values.astype(np.float32)
+    known = np.isfinite(values) & (values > least)
+    if not known.any():
+        raise InputError(f"{path} holds depths that are not finite and positive, and no others.")
     size = (scene.width, scene.height)
-    return Depth(resize_labels(np.where(known, depth, np.float32(furthest)), size), resize_labels(known.astype(np.float32), size))
+    return resize_labels(np.where(known, values, 0), size), resize_labels(known.astype(np.float32), size)
 
 
-def _disparity(path: Path, scene: Scene) -> Depth:
-    if path.suffix.lower() == ".png":
-        image = decode_image(path, cv2.IMREAD_UNCHANGED)
-        if image is None or image.dtype != np.uint16:
-            raise InputError(f"{path} is no 16-bit PNG of disparities.")
-        values = _map(path, image, scene) / np.float32(65535)
-    else:
-        values = _map(path, read_npy(path), scene)
-    known = np.isfinite(values) & (values > 1e-6)
-    return _fill_unknown(1 / np.where(known, values, 1), known, scene)
+def _read_map(path: Path) -> np.ndarray:
+    if path.suffix.lower() == ".npy":
+        return read_npy(path)
+    image = decode_image(path, cv2.IMREAD_UNCHANGED)
+    if image is not None and image.ndim == 3 and (image[..., :3] == image[..., :1]).all():
+        image = image[..., 0]
+    if image is None or image.ndim != 2:
+        raise InputError(f"{path} is no gray PNG of depth: save its values in 8 or 16 bits, not colors that stand for them.")
+    return image.astype(np.float32) / 65535 if image.dtype == np.uint16 else image
 
 
-def _mosca(path: Path, scene: Scene) -> Depth:
+def _read_mosca(path: Path) -> np.ndarray:
     arrays = read_npz(path, ("dep",))
     if "dep" not in arrays:
         raise InputError(f"{path} has no array 'dep' as MoSca's depth has.")
-    values = _map(path, arrays["dep"], scene)
-    known = np.isfinite(values) & (values > 1e-3)
-    return _fill_unknown(values, known, scene)
+    return arrays["dep"]

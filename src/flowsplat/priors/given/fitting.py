@@ -32,7 +32,7 @@ def require_shape(path: Path, width: int, height: int, scene: Scene) -> None:
     if abs(width * scene.height - height * scene.width) > max(scene.width, scene.height, width, height):
         raise InputError(
             f"{path} is {width}x{height} pixels, which is another shape than the frames ({scene.width}x{scene.height}): "
-            "give priors of the whole, uncropped image."
+            "give priors of the whole, uncropped image, and keep bars round it with --crop off."
         )
 
 

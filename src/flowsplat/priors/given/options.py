@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -15,9 +16,9 @@ class GivenPriors:
     """Our JSON list (one camera a frame: viewmat [4, 4] world to camera with OpenCV axes, K [3, 3], width, height), or the
     cameras of nerfstudio (transforms.json), COLMAP (a sparse model), MegaSaM (.npz) or DROID-SLAM (droid_recon .npy)."""
     depth: Path | None = None
-    """A folder of 00000.npy ... [H, W], planar depth for every training frame, in the units of the cameras where these are given;
-    or the depth of MegaSaM (.npz), Shape of Motion (aligned_depth_anything) or MoSca. It is fitted to cameras that are not its
-    own."""
+    """A folder of 00000.npy ... [H, W] or gray .png of 8 or 16 bits, one for every training frame: planar depth (in the units of
+    the cameras where these are given) or disparity, which the parallax of the clip tells; or the depth of MegaSaM (.npz), Shape of
+    Motion (aligned_depth_anything) or MoSca. It is fitted to cameras that are not its own."""
     masks: Path | None = None
     """A folder of images, 00000.png ... or one a frame: object numbers or colors, black = background. Masks of held-out
     frames are kept for the evaluation."""
@@ -26,6 +27,9 @@ class GivenPriors:
     training frames; or the flow of MegaSaM (cache_flow) or MoSca (flow_raft), of which missing pairs are computed."""
     tracks: Path | None = None
     """Tracks of TAPIR or BootsTAPIR, CoTracker, or MoSca: a folder of .npy, or .npz files."""
+    depth_kind: Literal["depth", "disparity", "inverted-disparity"] | None = None
+    """What the values of given depth are, where the parallax of the clip does not tell: depth (large is far, zero is here),
+    disparity (large is near), or disparity subtracted from white (large is far)."""
     tracks_size: tuple[int, int] | None = None
     """Width and height of the images in which the given tracks were made, where it is not that of the frames."""
     allow_pickle: bool = False
@@ -53,5 +57,5 @@ class GivenPriors:
         return found
 
 
-_HOW_TO_READ = ("tracks_size", "allow_pickle")
+_HOW_TO_READ = ("depth_kind", "tracks_size", "allow_pickle")
 """Settings that are no files."""

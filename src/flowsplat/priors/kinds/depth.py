@@ -5,10 +5,10 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from flowsplat.priors.depth import depth_stage
-from flowsplat.priors.given.depth import GivenDepth, open_depth
+from flowsplat.priors.given import depth_check
+from flowsplat.priors.given.depth import open_depth
+from flowsplat.priors.given.depth_check import choose_kind, is_in_units, match_training_frames, require_told
 from flowsplat.priors.given.fitting import verdict_of
 from flowsplat.priors.kinds.cameras import MAKER
 from flowsplat.priors.kinds.static_depth import STATIC
@@ -38,23 +38,31 @@ def _read_true(scene: Scene, truth: Layers) -> bool:
 
 
 def _read_given(request: PriorRequest, path: Path) -> Stage | None:
-    """Return whether depth is in other units than those of the cameras and has to be fitted to them."""
-    scene, depth = request.scene, open_depth(path, request.scene)
-    units_known = request.method("cameras") in BROUGHT
-    if request.memory.get(MAKER) in depth.fits or ("any" in depth.fits and units_known):
-        for i in scene.train_frames:
-            scene.write_depth(i, depth.read(i))
-        scene.finish_prior("depth", method=GIVEN, verdict=verdict_of(path, depth.maker))
-        return None
-    return partial(monocular_stage, scene, _monocular(depth, path), request.estimate)
+    """Return what fits depth to the cameras; None where it is in their units."""
+    scene, depth, asked = request.scene, open_depth(path, request.scene), request.options.given.depth_kind
+    told = asked or (depth.kind if depth.is_certain else None)
+    matches = match_training_frames(scene)
+    said = verdict_of(path, depth.maker)
+    units_known = request.memory.get(MAKER) in depth.fits or ("any" in depth.fits and request.method("cameras") in BROUGHT)
+    if units_known and asked in (None, depth.kind):
+        fits = is_in_units(scene, depth, matches)
+        if fits is None and told is None:
+            require_told(scene, path, matches)
+        if fits is not False:
+            for i in scene.train_frames:
+                scene.write_depth(i, depth.read(i))
+            scene.finish_prior("depth", method=GIVEN, verdict=said)
+            return None
+        said += ", which is not in the units of the cameras"
+    if told is None:
+        require_told(scene, path, matches)
 
+    def fit() -> None:
+        kind, sentence = choose_kind(scene, depth, matches, path, told)
+        inverse = partial(depth.inverse, kind=kind)
+        monocular_stage(scene, Monocular(GIVEN, f"{said}, {sentence}", kind != depth_check.DEPTH, inverse), request.estimate)
 
-def _monocular(depth: GivenDepth, path: Path) -> Monocular:
-    def inverse(i: int) -> tuple[np.ndarray, np.ndarray]:
-        found = depth.read(i)
-        return 1 / found.depth, found.confidence
-
-    return Monocular(GIVEN, verdict_of(path, depth.maker), relative=False, inverse=inverse)
+    return fit
 
 
 DEPTH = Kind(

@@ -11,12 +11,16 @@ import cv2
 import numpy as np
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.spread import spread
 from flowsplat.scenes.clip import Clip, InputOptions, choose_working_size, resize_image, select_frames
 from flowsplat.scenes.formats.masks import GivenMasks
-from flowsplat.scenes.layers import decode_image
+from flowsplat.scenes.layers import decode_image, find_turn
 from flowsplat.scenes.repeats import look_size
 
 _EIGHT_BITS = np.rint(np.arange(65536) / 257).astype(np.uint8)
+COMPARED_ALPHAS = 3
+"""Images in whose alpha is looked. Chosen by eye."""
+ALPHA_SUFFIXES = {".png", ".webp", ".tif", ".tiff"}
 IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp"}
 
 
@@ -92,6 +96,31 @@ class ImagesClip(Clip):
         return self.masks.read(self.paths[i].stem, (self.width, self.height))
 
 
+def _note_alpha(paths: Sequence[Path]) -> list[str]:
+    """Return a sentence for the user where images are transparent somewhere."""
+    for path in paths:
+        if path.suffix.lower() in ALPHA_SUFFIXES:
+            image = decode_image(path, cv2.IMREAD_UNCHANGED)
+            if image is not None and image.ndim == 3 and image.shape[2] == 4 and image[..., 3].min() < np.iinfo(image.dtype).max:
+                return [
+                    "The images are transparent in parts: their alpha is left out, and the colors under it are taken. If it says "
+                    "what moves, save it as black and white images, and name their folder with --given.masks."
+                ]
+    return []
+
+
+def _note_turned(image: Path, mask: Path, masks: GivenMasks, is_square: bool) -> list[str]:
+    """Return a sentence for the user where EXIF turns an image, but not its mask, and sizes do not tell whether it should."""
+    if mask.stem in masks.turns:
+        return ["Masks were turned as EXIF turns their images."]
+    probe = np.arange(6).reshape(2, 3)
+    turned = find_turn(image)(probe)
+    sizes_tell = turned.shape != probe.shape and not is_square
+    if sizes_tell or np.array_equal(turned, probe) or not np.array_equal(find_turn(mask)(probe), probe):
+        return []
+    return ["EXIF turns the images, and their masks are taken as they are: turn these, too, if they lie the other way round."]
+
+
 def open_images(folder: Path, options: InputOptions, masks: Path | None = None, *, name: str | None = None) -> ImagesClip:
     """Open a folder of images.
 
@@ -124,7 +153,10 @@ def open_images(folder: Path, options: InputOptions, masks: Path | None = None, 
         for stem, path in found.items():
             if stem not in stems:
                 raise InputError(f"{path} belongs to no image in {folder}: remove it, or name it like its image.")
-        given = GivenMasks.scan({path.stem: found[path.stem] for path in chosen}, (width, height))
+        images = {path.stem: path for path in chosen}
+        given = GivenMasks.scan({stem: found[stem] for stem in images}, (width, height), images)
+        notes += _note_turned(chosen[0], found[chosen[0].stem], given, width == height)
+    notes += _note_alpha([chosen[k] for k in spread(len(chosen), COMPARED_ALPHAS)])
     return ImagesClip(
         name=name or Path(folder).resolve().name,
         source=str(folder),

@@ -1,15 +1,15 @@
 """Masks that come with images: black is background, and every other color is a moving object.
 
-Black and white, gray object numbers, colors and palettes (DAVIS) all work; alpha is ignored. The colors of a clip become the
-numbers 1, 2, ... in one order for all frames, which for the palette of DAVIS is its own. Where a clip has more colors than
-objects can be (soft edges, JPEG), all that is not black is one object. The label 255 beside object numbers means that nobody knows
-("void", as in DAVIS and Pascal VOC), and is no object.
+Black and white, gray object numbers, colors and palettes (DAVIS) all work; alpha is ignored, and EXIF turns them as it turns
+images. The colors of a clip become the numbers 1, 2, ... in one order for all frames, which for the palette of DAVIS is its own.
+Where a clip has more colors than objects can be (soft edges, JPEG), all that is not black is one object. The label 255 beside
+object numbers means that nobody knows ("void", as in DAVIS and Pascal VOC), and is no object.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -18,7 +18,7 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.progress import report
 from flowsplat.scenes.clip import resize_labels
-from flowsplat.scenes.layers import decode_image
+from flowsplat.scenes.layers import decode_image, find_turn
 
 MAX_OBJECTS = 32
 """Colors above which they are taken for shades of one object. Chosen by eye."""
@@ -33,6 +33,10 @@ JPEG_BLACK = 127
 """Up to this value a pixel of a JPEG mask is background: compression smears its edges. Chosen by eye."""
 
 
+Turn = Callable[[np.ndarray], np.ndarray]
+"""Brings an image upright."""
+
+
 def read_labels(path: Path) -> np.ndarray:
     """Return [H, W] int32: the color of each pixel, packed, of gray images too; 0 = background. 16-bit gray is a number as it is.
 
@@ -41,7 +45,7 @@ def read_labels(path: Path) -> np.ndarray:
     Raises:
         InputError: missing or not an image.
     """
-    image = decode_image(path, cv2.IMREAD_UNCHANGED)
+    image = decode_image(path, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
     if image is None or image.dtype not in (np.uint8, np.uint16):
         raise InputError(f"{path} is no readable mask: save masks as 8-bit PNG.")
     if image.ndim == 2 or image.shape[2] <= 2:
@@ -65,22 +69,31 @@ class GivenMasks:
         paths: by name.
         colors: [n] sorted labels that became the objects 1, 2, ...; None: all one object.
         void: labels that mean that nobody knows.
+        turns: how masks are brought upright that were stored as their images are, where these are turned by EXIF.
     """
 
     paths: Mapping[str, Path]
     colors: np.ndarray | None
     void: tuple[int, ...] = ()
+    turns: Mapping[str, Turn] = field(default_factory=dict)
 
     @staticmethod
-    def scan(paths: Mapping[str, Path], size: tuple[int, int]) -> GivenMasks:
+    def scan(paths: Mapping[str, Path], size: tuple[int, int], images: Mapping[str, Path] | None = None) -> GivenMasks:
         """Read every mask once, to check its size (width, height) and to number the objects of the clip.
+
+        Args:
+            images: the images that the masks belong to, by name, where they are at hand. What has their size before EXIF turns
+                them is turned as they are.
 
         Raises:
             InputError: a mask cannot be read or has another size.
         """
-        colors = np.zeros(0, np.int32)
-        for path in paths.values():
+        colors, turns = np.zeros(0, np.int32), {}
+        for name, path in paths.items():
             labels = read_labels(path)
+            if labels.shape == size != size[::-1] and images is not None:
+                turns[name] = find_turn(images[name])
+                labels = turns[name](labels)
             if labels.shape != size[::-1]:
                 raise InputError(
                     f"{path} is {labels.shape[1]}x{labels.shape[0]} pixels, but its image is {size[0]}x{size[1]}: "
@@ -89,13 +102,13 @@ class GivenMasks:
             if len(colors) <= MAX_OBJECTS:
                 colors = np.union1d(colors, labels[labels > 0])
         if len(colors) > MAX_OBJECTS:
-            return GivenMasks(paths, None)
+            return GivenMasks(paths, None, turns=turns)
         void = find_void(colors)
-        return GivenMasks(paths, np.setdiff1d(colors, void), void)
+        return GivenMasks(paths, np.setdiff1d(colors, void), void, turns)
 
     def read(self, name: str, size: tuple[int, int]) -> np.ndarray:
         """Return [H, W] uint8 object numbers at ``size`` (width, height), 0 = background."""
-        labels = read_labels(self.paths[name])
+        labels = self.turns.get(name, np.asarray)(read_labels(self.paths[name]))
         if self.colors is None:
             objects = (labels > 0).astype(np.uint8)
         else:
