@@ -98,14 +98,6 @@ def test_the_version(capsys):
     assert capsys.readouterr().out == f"flowsplat {flowsplat.__version__}\n"
 
 
-def test_the_package_is_a_command():
-    done = subprocess.run(
-        [sys.executable, "-m", "flowsplat", "--version"], capture_output=True, text=True, timeout=120, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert flowsplat.__version__ in done.stdout
-
-
 def test_a_file_in_the_folder_is_a_command(tmp_path, monkeypatch):
     package = tmp_path / "some_commands"
     package.mkdir()

@@ -1,6 +1,0 @@
-"""``python -m flowsplat``: the command line, where the folder of scripts is not on the path."""
-
-from flowsplat.cli import main
-
-if __name__ == "__main__":
-    main()
