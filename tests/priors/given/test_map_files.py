@@ -258,8 +258,8 @@ def test_files_that_are_counted_from_one(scene: Scene, tmp_path: Path):
 
 def test_depth_as_images_is_named(scene: Scene, tmp_path: Path):
     for i in range(FRAMES):
-        cv2.imwrite(str(tmp_path / f"{i:05d}.png"), np.ones(SIZE[::-1], np.uint16))
-    with pytest.raises(InputError, match=r"00000\.png cannot be read as depth: it must be 00000\.npy"):
+        cv2.imwrite(str(tmp_path / f"{i:05d}.jpg"), np.full(SIZE[::-1], 90, np.uint8))
+    with pytest.raises(InputError, match=r"00000\.jpg cannot be read as depth: it must be 00000\.npy"):
         open_depth(tmp_path, scene)
 
 
