@@ -176,7 +176,8 @@ def _run(part: GpuPart, folder: Path, limit: float, scenes: Sequence[Path], rehe
     found = json.loads(figures.read_text(encoding="utf-8")) if figures.exists() else {}
     result: dict[str, Any] = {"outcome": outcome, "seconds": round(time.monotonic() - began, 1), "figures": found}
     if outcome != "done":
-        result["output"] = log.read_text(encoding="utf-8", errors="replace").splitlines()[-SHOWN_LINES:]
+        text = log.read_text(encoding="utf-8", errors="replace").replace(f"{FOLDER.parents[3]}{os.sep}", "")
+        result["output"] = text.splitlines()[-SHOWN_LINES:]
         tell("\n".join(f"         | {line}" for line in result["output"]))
     return result
 
