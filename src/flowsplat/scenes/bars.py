@@ -119,9 +119,13 @@ def cut_bars(whole: Clip, options: InputOptions) -> Clip:
     left, top, right, bottom = box or (0, 0, whole.width, whole.height)
     shown = right - left, bottom - top
     size, resized = choose_working_size(*shown, options, whole.source)
-    said = f"Cut off black bars: {shown[0]}x{shown[1]} of {whole.width}x{whole.height} pixels are left (--crop off keeps all)."
+    notes = [*whole.notes, *resized]
+    if box:
+        notes.append(
+            f"Cut off black bars: {shown[0]}x{shown[1]} of {whole.width}x{whole.height} pixels are left (--crop off keeps all)."
+        )
     return CroppedClip(
         name=whole.name, source=whole.source, width=size[0], height=size[1], timestamps=whole.timestamps,
-        source_fps=whole.source_fps, notes=[*whole.notes, said, *resized], audio=whole.audio, audio_start=whole.audio_start,
+        source_fps=whole.source_fps, notes=notes, audio=whole.audio, audio_start=whole.audio_start,
         has_masks=whole.has_masks, whole=whole, box=(left, top, right, bottom),
     )  # fmt: skip

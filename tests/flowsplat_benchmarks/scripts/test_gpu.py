@@ -137,6 +137,15 @@ def test_the_page_of_what_was_measured_has_every_part():
         assert all(line in documented for line in tables)
 
 
+def test_a_part_of_another_commit_says_so():
+    page = pytest.importorskip("flowsplat_benchmarks.scripts.gpu_parts.page")
+    now, before = ({"commit": letter * 40, "changed": False, "date": "2026-11-27T00:00"} for letter in "ab")
+    part = {"outcome": "done", "figures": {}}
+    lines = list(page.page({**now, "parts": {"kernels": {**part, **now}, "memory": {**part, **before}}}))
+    assert [line for line in lines if line.startswith("Commit bbbbbbb")] == ["Commit bbbbbbb, 2026-11-27."]
+    assert lines.index("Commit bbbbbbb, 2026-11-27.") > lines.index(f"### {page.TITLES['memory']}")
+
+
 def rehearsed(out, *words: str) -> dict[str, Any]:
     """All parts, or some, in the interpreter."""
     command = [*COMMAND, *(words or ["--everything"]), "--rehearse", "--minutes", "25", "-o", out]

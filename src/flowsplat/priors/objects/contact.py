@@ -136,7 +136,8 @@ def _bound_below(across: np.ndarray, bounds: np.ndarray, middle: float) -> float
         while len(hull) > 1 and _turns_down(hull[-2], hull[-1], (u, bound)):
             hull.pop()
         hull.append((u, bound))
-    return float(np.interp(middle, *zip(*hull, strict=True)))
+    corners = np.array(hull)
+    return float(np.interp(middle, corners[:, 0], corners[:, 1]))
 
 
 def _turns_down(first: tuple[float, float], second: tuple[float, float], third: tuple[float, float]) -> bool:
