@@ -168,6 +168,14 @@ def test_a_prepared_scene_may_hold_out_its_first_and_last_frame(tiny_scene, tmp_
     assert metrics["baselines"]["copy"]["psnr"] == metrics["baselines"]["flow_interpolation"]["psnr"] > 10
 
 
+def test_a_figure_that_has_no_value_is_a_dash(finished, tmp_path):
+    folder = RunFolder(shutil.copytree(finished, tmp_path / "out"))
+    metrics = json.loads(folder.metrics_path.read_text())
+    metrics["training_frames"]["psnr"] = None
+    folder.metrics_path.write_text(json.dumps(metrics))
+    assert any(line.startswith("  training frames: PSNR –, SSIM 0.") for line in describe(folder.path))
+
+
 def test_a_model_that_is_gone_is_said(finished, tmp_path):
     folder = RunFolder(shutil.copytree(finished, tmp_path / "out"))
     shutil.rmtree(folder.model_path)

@@ -14,6 +14,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json
 from flowsplat.common.files.lease import holder
 from flowsplat.common.run_paths import RunPaths
+from flowsplat.images.html import NOTHING
 from flowsplat.output.report import verdict
 from flowsplat.pipeline.folder import MetricsFile, RunFolder
 from flowsplat.priors.graph import PRIORS
@@ -50,6 +51,10 @@ def _version(package: str) -> str:
         return "is not installed"
 
 
+def _figure(value: float | None, digits: int) -> str:
+    return NOTHING if value is None else f"{value:.{digits}f}"
+
+
 def _describe_run(folder: RunFolder) -> Iterator[str]:
     yield f"Run {folder.path} of {folder.record['input']}"
     if (who := holder(folder.path)) is not None:
@@ -66,7 +71,8 @@ def _describe_run(folder: RunFolder) -> Iterator[str]:
         yield f"  {verdict(values)}"
         for name in ("heldout_frames", "heldout_views", "training_frames"):
             if values.get(name):
-                yield f"  {name.replace('_', ' ')}: PSNR {values[name]['psnr']:.2f}, SSIM {values[name]['ssim']:.3f}"
+                psnr, ssim = _figure(values[name]["psnr"], 2), _figure(values[name]["ssim"], 3)
+                yield f"  {name.replace('_', ' ')}: PSNR {psnr}, SSIM {ssim}"
     model = folder.model_path / "model.json"
     if model.exists():
         value = read_json(model, ModelFile)

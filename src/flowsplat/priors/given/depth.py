@@ -28,8 +28,8 @@ DISPARITY_FOLDERS = re.compile(r"depth_anything|_disp$", re.IGNORECASE)
 names, too, so it counts only beside the cameras that they are in the units of."""
 DEPTH, DISPARITY, INVERTED = "depth", "disparity", "inverted-disparity"
 """What values can be: far is large and zero is the camera; near is large; what is left of white, so that far is large."""
-MIN_VALUE = {"Shape of Motion": 1e-6, "MoSca": 1e-3, "flowsplat": 0.0}
-"""Values up to here mean that nothing is known, as these programs write them."""
+MIN_VALUE = {"Shape of Motion": 1e-6, "MoSca": 1e-3, "flowsplat": float(np.finfo(np.float32).tiny)}
+"""Values up to here mean that nothing is known, as these programs write them; smaller ones have no inverse in float32."""
 
 
 @dataclass(frozen=True)
