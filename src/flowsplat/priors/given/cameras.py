@@ -7,15 +7,15 @@ from pathlib import Path
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, read_npz
 from flowsplat.geometry import Camera
-from flowsplat.priors.given import droid, megasam
+from flowsplat.priors.given import droid, feedforward, megasam
 from flowsplat.priors.given.colmap import find_model, read_colmap
-from flowsplat.priors.given.fitting import require_frames, require_shape
+from flowsplat.priors.given.fitting import compute_max_bytes, require_frames, require_shape
 from flowsplat.priors.given.nerfstudio import is_nerfstudio, read_nerfstudio
 from flowsplat.scenes import Scene
 
 KNOWN = (
     "a JSON list of cameras, nerfstudio's transforms.json, a COLMAP model (cameras and images, .bin or .txt), "
-    "MegaSaM's .npz with cam_c2w, DROID-SLAM's droid_recon .npy"
+    "the .npz of Depth Anything 3 (extrinsics), VGGT (extrinsic) or MegaSaM (cam_c2w), DROID-SLAM's droid_recon .npy"
 )
 
 
@@ -47,9 +47,11 @@ def _read(path: Path, scene: Scene, allow_pickle: bool) -> tuple[list[Camera], s
             return read_nerfstudio(path, content, scene), "nerfstudio"
         return _read_own(path, content, scene), "flowsplat"
     if suffix == ".npz":
-        arrays = read_npz(path, megasam.ARRAYS, most=megasam.compute_max_bytes(scene))
+        arrays = read_npz(path, {*megasam.ARRAYS, *feedforward.ARRAYS}, most=compute_max_bytes(scene))
         if megasam.is_megasam(arrays):
             return megasam.read_cameras(path, arrays, scene), megasam.MAKER
+        if maker := feedforward.find_maker(arrays, with_cameras=True):
+            return feedforward.read_cameras(path, arrays, maker, scene), maker
     if suffix == ".npy":
         return droid.read_droid(path, scene, allow_pickle), droid.MAKER
     if not path.exists():

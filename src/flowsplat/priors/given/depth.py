@@ -12,15 +12,15 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_npy, read_npz
-from flowsplat.priors.given import droid, megasam
-from flowsplat.priors.given.fitting import files_by_frame, require_shape
+from flowsplat.priors.given import droid, feedforward, megasam
+from flowsplat.priors.given.fitting import compute_max_bytes, files_by_frame, require_shape
 from flowsplat.scenes import Depth, Scene
 from flowsplat.scenes.clip import resize_labels
 from flowsplat.scenes.layers import decode_image
 
 KNOWN = (
     "a folder of 00000.npy ... (planar depth), Shape of Motion's aligned_depth_anything (disparity, .npy or 16-bit .png), "
-    "MoSca's *_depth (.npz with dep), MegaSaM's .npz with depths"
+    "MoSca's *_depth (.npz with dep), the .npz of Depth Anything 3, VGGT (both depth) or MegaSaM (depths)"
 )
 
 DISPARITY_FOLDERS = re.compile(r"depth_anything|_disp$", re.IGNORECASE)
@@ -57,7 +57,7 @@ def open_depth(path: Path, scene: Scene) -> GivenDepth:
 
 def _open(path: Path, scene: Scene) -> GivenDepth:
     if path.is_file() and path.suffix == ".npz":
-        return GivenDepth(megasam.MAKER, (megasam.MAKER,), megasam.MegaSamDepth(path, scene))
+        return _open_archive(path, scene)
     if not path.is_dir():
         wrong = "holds no depth of a known layout" if path.exists() else "does not exist"
         raise InputError(f"{path} {wrong}. Looked for: {KNOWN}.")
@@ -71,6 +71,13 @@ def _open(path: Path, scene: Scene) -> GivenDepth:
         return GivenDepth("MoSca", (), lambda i: _mosca(files[i], scene))
     files = files_by_frame(path, (".npy",), scene, "depth")
     return GivenDepth("flowsplat", ("any",), lambda i: _read_own(files[i], scene))
+
+
+def _open_archive(path: Path, scene: Scene) -> GivenDepth:
+    arrays = read_npz(path, {*megasam.ARRAYS, *feedforward.ARRAYS}, most=compute_max_bytes(scene))
+    if maker := feedforward.find_maker(arrays, with_cameras=False):
+        return GivenDepth(maker, (maker,), feedforward.FeedForwardDepth(path, arrays, maker, scene))
+    return GivenDepth(megasam.MAKER, (megasam.MAKER,), megasam.MegaSamDepth(path, arrays, scene))
 
 
 def _map(path: Path, values: np.ndarray, scene: Scene) -> np.ndarray:
