@@ -81,7 +81,8 @@ def vggt(
 def check(scene: Scene, file: Path, maker: str) -> None:
     """Cameras are those of the frames again, and so is the depth wherever it was seen."""
     size = scene.width, scene.height
-    found, who = read_cameras(file, scene, False)
+    read = read_cameras(file, scene, False)
+    found, who = read.cameras, read.maker
     assert who == maker
     for camera, true in zip(found, path(size), strict=True):
         np.testing.assert_allclose(camera.viewmat, true.viewmat, atol=1e-6)
@@ -220,7 +221,7 @@ def test_megasam_with_rounded_sides(tmp_path: Path, size: tuple[int, int], whole
     depths = np.repeat(network_depth(size, place)[None], FRAMES, 0)
     megasam(tmp_path / "a.npz", depths=depths, intrinsic=K, images=np.zeros((FRAMES, *size[::-1], 3), np.uint8))
     scene = make_scene(tmp_path / "scene")
-    camera = read_cameras(tmp_path / "a.npz", scene, False)[0][2]
+    camera = read_cameras(tmp_path / "a.npz", scene, False).cameras[2]
     expected = path(LANDSCAPE)[0].K.copy()
     expected[:2, 2] = 427, 240
     np.testing.assert_allclose(camera.K, expected, rtol=1e-6)

@@ -12,15 +12,16 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_npy, read_npz
-from flowsplat.priors.given import droid, feedforward, megasam
-from flowsplat.priors.given.fitting import compute_max_bytes, files_by_frame, require_shape
+from flowsplat.priors.given import droid, feedforward, megasam, vipe
+from flowsplat.priors.given.fitting import Placement, compute_max_bytes, files_by_frame, require_shape
 from flowsplat.scenes import Depth, Scene
-from flowsplat.scenes.clip import resize_labels
 from flowsplat.scenes.layers import decode_image
 
 KNOWN = (
-    "a folder of 00000.npy ... (planar depth), Shape of Motion's aligned_depth_anything (disparity, .npy or 16-bit .png), "
-    "MoSca's *_depth (.npz with dep), the .npz of Depth Anything 3, VGGT (both depth) or MegaSaM (depths)"
+    "a folder of 00000.npy ... (planar depth) or 00000.png ... (16 bits, millimeters; 0 = unknown), "
+    "Shape of Motion's aligned_depth_anything (disparity, .npy or 16-bit .png), "
+    "MoSca's *_depth (.npz with dep), the .npz of Depth Anything 3, VGGT (both depth) or MegaSaM (depths), "
+    "the folder of ViPE's results (depth in it)"
 )
 
 DISPARITY_FOLDERS = re.compile(r"depth_anything|_disp$", re.IGNORECASE)
@@ -61,6 +62,8 @@ def _open(path: Path, scene: Scene) -> GivenDepth:
     if not path.is_dir():
         wrong = "holds no depth of a known layout" if path.exists() else "does not exist"
         raise InputError(f"{path} {wrong}. Looked for: {KNOWN}.")
+    if archive := vipe.find_file(path, "depth", scene):
+        return GivenDepth(vipe.MAKER, (vipe.MAKER,), vipe.VipeDepth(archive, scene))
     suffixes = {file.suffix.lower() for file in path.iterdir()}
     is_disparity = any(DISPARITY_FOLDERS.search(part) for part in path.resolve().parts[-3:])
     if is_disparity and suffixes & {".npy", ".png"}:
@@ -69,6 +72,9 @@ def _open(path: Path, scene: Scene) -> GivenDepth:
     if ".npz" in suffixes:
         files = files_by_frame(path, (".npz",), scene, "depth")
         return GivenDepth("MoSca", (), lambda i: _mosca(files[i], scene))
+    if ".png" in suffixes and ".npy" not in suffixes:
+        files = files_by_frame(path, (".png",), scene, "depth")
+        return GivenDepth("PNG in millimeters", ("any",), lambda i: _millimeters(files[i], scene))
     files = files_by_frame(path, (".npy",), scene, "depth")
     return GivenDepth("flowsplat", ("any",), lambda i: _read_own(files[i], scene))
 
@@ -91,25 +97,34 @@ def _map(path: Path, values: np.ndarray, scene: Scene) -> np.ndarray:
 
 def _read_own(path: Path, scene: Scene) -> Depth:
     depth = _map(path, read_npy(path), scene)
-    if not (np.isfinite(depth).all() and (depth > 0).all()):
-        raise InputError(f"{path} holds depths that are not finite and positive: fill them in first.")
-    depth = resize_labels(depth, (scene.width, scene.height))
-    return Depth(depth, np.ones_like(depth))
+    if (depth < 0).any():
+        raise InputError(f"{path} holds depths below 0: save 0 or NaN where depth is not known.")
+    known = np.isfinite(depth) & (depth > 0)
+    if not known.any():
+        raise InputError(f"{path} holds only depths that are not finite and positive.")
+    return _fill_unknown(depth, known, scene)
+
+
+def _millimeters(path: Path, scene: Scene) -> Depth:
+    depth = _map(path, _read_png(path, "depth in millimeters"), scene) / np.float32(1000)
+    return _fill_unknown(depth, depth > 0, scene)
+
+
+def _read_png(path: Path, what: str) -> np.ndarray:
+    image = decode_image(path, cv2.IMREAD_UNCHANGED)
+    if image is None or image.dtype != np.uint16:
+        raise InputError(f"{path} is no 16-bit PNG of {what}.")
+    return image
 
 
 def _fill_unknown(depth: np.ndarray, known: np.ndarray, scene: Scene) -> Depth:
     """Return depth at the size of the frames; where it is not known as far as the furthest, without confidence."""
-    furthest = depth[known].max() if known.any() else 1.0
-    size = (scene.width, scene.height)
-    return Depth(resize_labels(np.where(known, depth, np.float32(furthest)), size), resize_labels(known.astype(np.float32), size))
+    return Placement(0, 0, depth.shape[1], depth.shape[0]).place_depth(depth, known, scene)
 
 
 def _disparity(path: Path, scene: Scene) -> Depth:
     if path.suffix.lower() == ".png":
-        image = decode_image(path, cv2.IMREAD_UNCHANGED)
-        if image is None or image.dtype != np.uint16:
-            raise InputError(f"{path} is no 16-bit PNG of disparities.")
-        values = _map(path, image, scene) / np.float32(65535)
+        values = _map(path, _read_png(path, "disparities"), scene) / np.float32(65535)
     else:
         values = _map(path, read_npy(path), scene)
     known = np.isfinite(values) & (values > 1e-6)

@@ -8,7 +8,7 @@ objects can be (soft edges, JPEG), all that is not black is one object. The labe
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,7 +41,15 @@ def read_labels(path: Path) -> np.ndarray:
     Raises:
         InputError: missing or not an image.
     """
-    image = decode_image(path, cv2.IMREAD_UNCHANGED)
+    return unpack_labels(path, decode_image(path, cv2.IMREAD_UNCHANGED))
+
+
+def unpack_labels(path: Path, image: np.ndarray | None) -> np.ndarray:
+    """Return what ``read_labels`` does from the image that OpenCV read from ``path``; None is no image.
+
+    Raises:
+        InputError: it is none.
+    """
     if image is None or image.dtype not in (np.uint8, np.uint16):
         raise InputError(f"{path} is no readable mask: save masks as 8-bit PNG.")
     if image.ndim == 2 or image.shape[2] <= 2:
@@ -65,22 +73,27 @@ class GivenMasks:
         paths: by name.
         colors: [n] sorted labels that became the objects 1, 2, ...; None: all one object.
         void: labels that mean that nobody knows.
+        labels: reads the labels of a path.
     """
 
     paths: Mapping[str, Path]
     colors: np.ndarray | None
     void: tuple[int, ...] = ()
+    labels: Callable[[Path], np.ndarray] = read_labels
 
     @staticmethod
-    def scan(paths: Mapping[str, Path], size: tuple[int, int]) -> GivenMasks:
+    def scan(paths: Mapping[str, Path], size: tuple[int, int], read: Callable[[Path], np.ndarray] = read_labels) -> GivenMasks:
         """Read every mask once, to check its size (width, height) and to number the objects of the clip.
+
+        Args:
+            read: labels [H, W] int32 of a path, 0 = background; paths may be of parts of a file.
 
         Raises:
             InputError: a mask cannot be read or has another size.
         """
         colors = np.zeros(0, np.int32)
         for path in paths.values():
-            labels = read_labels(path)
+            labels = read(path)
             if labels.shape != size[::-1]:
                 raise InputError(
                     f"{path} is {labels.shape[1]}x{labels.shape[0]} pixels, but its image is {size[0]}x{size[1]}: "
@@ -89,13 +102,13 @@ class GivenMasks:
             if len(colors) <= MAX_OBJECTS:
                 colors = np.union1d(colors, labels[labels > 0])
         if len(colors) > MAX_OBJECTS:
-            return GivenMasks(paths, None)
+            return GivenMasks(paths, None, labels=read)
         void = find_void(colors)
-        return GivenMasks(paths, np.setdiff1d(colors, void), void)
+        return GivenMasks(paths, np.setdiff1d(colors, void), void, read)
 
     def read(self, name: str, size: tuple[int, int]) -> np.ndarray:
         """Return [H, W] uint8 object numbers at ``size`` (width, height), 0 = background."""
-        labels = read_labels(self.paths[name])
+        labels = self.labels(self.paths[name])
         if self.colors is None:
             objects = (labels > 0).astype(np.uint8)
         else:
@@ -104,7 +117,7 @@ class GivenMasks:
 
     def read_moving(self, path: Path, size: tuple[int, int]) -> np.ndarray:
         """Return [H, W] uint8 at ``size`` (width, height) of a mask of the same clip: 1 for what moves, of whatever label."""
-        labels = read_labels(path)
+        labels = self.labels(path)
         return resize_labels(((labels > 0) & ~np.isin(labels, self.void)).astype(np.uint8), size)
 
 
