@@ -32,6 +32,7 @@ from flowsplat.pipeline.summary import figures_table, report_data
 from flowsplat.priors.given import GivenPriors
 from flowsplat.priors.given.cameras import read_cameras
 from flowsplat.priors.given.depth import open_depth
+from flowsplat.priors.given.fitting import Placement
 from flowsplat.priors.given.flow import read_flow
 from flowsplat.priors.given.tracks import read_tracks
 from flowsplat.priors.given.truth import consecutive_pairs
@@ -51,6 +52,7 @@ from tests.output.small import small_model
 from tests.priors.given import test_camera_files as cameras_of_others
 from tests.priors.given import test_feedforward_files as networks
 from tests.priors.given import test_map_files as maps_of_others
+from tests.priors.given import test_sav_files as sav_files
 from tests.priors.given import test_track_files as tracks_of_others
 from tests.priors.given import test_vipe_files as vipe_files
 from tests.scenes.conftest import make_image, write_image_file, write_video
@@ -184,29 +186,21 @@ def given_scene(folder: Path, size: tuple[int, int], frames: int) -> Scene:
 
 def _given(folder: Path) -> None:
     others, maps, tracks = cameras_of_others, maps_of_others, tracks_of_others
-    for name in (
-        "cameras",
-        "depth",
-        "disparity_disp",
-        "mosca_depth",
-        "masks",
-        "flow",
-        "flo",
-        "kitti",
-        "mosca_flow",
-        "megasam",
-        "millimeters",
-        "vggt",
-        "depth_anything_3",
-    ):
+    folders = (
+        "cameras depth disparity_disp mosca_depth masks flow flo kitti mosca_flow megasam millimeters vggt depth_anything_3 sav"
+    )
+    for name in folders.split():
         (folder / name).mkdir(parents=True)
     (folder / "cameras" / "transforms.json").write_text(json.dumps(others.transforms()))
     others.colmap_text(folder / "text")
     others.colmap_binary(folder / "binary")
     write_json(folder / "own" / "own.json", [camera.to_json() for camera in others.path()])
     others.megasam(folder / "megasam" / "a.npz")
-    networks.depth_anything(folder / "depth_anything_3" / "a.npz")
-    networks.vggt(folder / "vggt" / "a.npz", *networks.VGGT_WAYS["padded with white"])
+    networks.depth_anything(folder / "depth_anything_3" / "a.npz", (56, 28))
+    networks.vggt(folder / "vggt" / "a.npz", (70, 70), Placement(0, 14, 70, 42), border=1.0)
+    sav_files.sav(
+        folder / "sav" / "a.json", masklet=[[sav_files.pack(np.pad(np.ones((20, 30)), ((0, 28), (0, 55))))]] * maps.FRAMES
+    )
     vipe_files.vipe(folder / "vipe")
     maps.flow_cache(folder / "cache")
     wide = np.full((48, 85), 2.0, np.float32)
@@ -413,6 +407,7 @@ READERS = (
             ("flow", "mosca_flow", ""), ("flow", "cache", ""), ("tracks", "tracks/tapir", ""), ("tracks", "tracks/marbles", ""),
             ("tracks", "tracks/mosca", ""), ("tracks", "tracks/cotracker", "a.npz"), ("tracks", "tracks/tapnet", "a.npz"),
             ("depth", "millimeters", ""), ("cameras", "depth_anything_3", "a.npz"), ("depth", "depth_anything_3", "a.npz"),
+            ("masks", "sav", "a.json"), ("tracks", "tracks/spatialtracker2", "clip_result.npz"),
             ("cameras", "vggt", "a.npz"), ("depth", "vggt", "a.npz"),
         )
     ),

@@ -259,13 +259,14 @@ def test_bad_cameras_are_refused_in_one_line(scene: Scene, tmp_path: Path, name:
     assert "\n" not in str(caught.value)
 
 
+def whole_numbers() -> bytes:
+    return write_exr(np.ones((9, 16))).replace(b"Z\0\1", b"Z\0\0")
+
+
 BAD_MAPS = {
     "depth of another program": (lambda f: spoil_zip(f, "depth", "{:05d}.exr", b"no"), "no depth that can be read here"),
-    "depth of colors": (
-        lambda f: spoil_zip(f, "depth", "{:05d}.exr", write_exr(np.ones((9, 16))).replace(b"Z\0\1", b"Z\0\0")),
-        "not one channel",
-    ),
-    "depth that is cut off": (lambda f: spoil_zip(f, "depth", "{:05d}.exr", write_exr(np.ones((90, 160)))[:-9]), "no depth that can"),
+    "depth of whole numbers": (lambda f: spoil_zip(f, "depth", "{:05d}.exr", whole_numbers()), "not one channel of half or float"),
+    "depth that is cut off": (lambda f: spoil_zip(f, "depth", "{:05d}.exr", write_exr(np.ones((90, 160)))[:-9]), "can be read"),
     "depth packed otherwise": (
         lambda f: spoil_zip(f, "depth", "{:05d}.exr", write_exr(np.ones((90, 160))).replace(
             b"compression\0\1\0\0\0\3", b"compression\0\1\0\0\0\4")), "another way than ZIP"

@@ -47,8 +47,9 @@ class Placement:
     def camera(self, viewmat: np.ndarray, K: np.ndarray, scene: Scene) -> Camera:
         """Return the camera of a frame from one in pixels of that image."""
         moved = np.asarray(K, np.float64) - [[0, 0, self.left], [0, 0, self.top], [0, 0, 0]]
-        scale = np.diag([scene.width / self.width, scene.height / self.height, 1])
-        return Camera(viewmat, scale @ moved, scene.width, scene.height)
+        scale = np.array([scene.width / self.width, scene.height / self.height, 1])
+        with np.errstate(all="ignore"):  # whoever reads cameras looks whether they are finite
+            return Camera(viewmat, scale[:, None] * moved, scene.width, scene.height)
 
     def place_depth(self, depth: np.ndarray, known: np.ndarray, scene: Scene) -> Depth:
         """Return depth [H, W] at the size of the frames, where ``known`` [H, W] with confidence 1.

@@ -1,4 +1,5 @@
-"""Masks: a folder of images (our own numbering, DAVIS's Annotations, or any names in the order of the frames), or those of ViPE."""
+"""Masks: a folder of images (our own numbering, DAVIS's Annotations, or any names in the order of the frames), those of ViPE, or
+the JSON of Segment Anything Video."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ import cv2
 import numpy as np
 
 from flowsplat.common.files import read_zip
-from flowsplat.priors.given import vipe
+from flowsplat.priors.given import sav, vipe
 from flowsplat.priors.given.fitting import files_by_frame, require_shape
 from flowsplat.scenes import Scene
 from flowsplat.scenes.formats.masks import GRAY, GivenMasks, read_labels, require_rest, unpack_labels
@@ -52,4 +53,7 @@ def _find(path: Path, scene: Scene) -> tuple[dict[int, Path], Callable[[Path], n
             return np.where(np.isin(labels, resting), 0, labels)
 
         return {i: archive / name for i, name in vipe.list_members(archive, ".png", scene, "a mask").items()}, read
+    if path.suffix.lower() == ".json":
+        masklets = sav.read_masklets(path, scene)
+        return {i: path / f"{i:05d}" for i in range(len(masklets))}, lambda part: sav.decode_labels(part, masklets[int(part.name)])
     return files_by_frame(path, SUFFIXES, scene, "a mask"), read_labels
