@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from flowsplat.scenes.layers import MAX_PIXELS
 _BOM = b"\x76\x2f\x31\x01"
 _ROWS = {0: 1, 2: 1, 3: 16}
 """Rows of a block, by the number of how it is packed: not at all, ZIPS, ZIP."""
-_TYPES = {1: np.dtype("<f2"), 2: np.dtype("<f4")}
+_TYPES: dict[int, np.dtype[Any]] = {1: np.dtype("<f2"), 2: np.dtype("<f4")}
 """Values of a channel, by the number of their type."""
 
 

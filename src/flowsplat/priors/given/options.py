@@ -18,7 +18,8 @@ class GivenPriors:
     depth: Path | None = None
     """A folder of 00000.npy ... [H, W], planar depth for every training frame, in the units of the cameras where these are given;
     00000.png ... of 16 bits in millimeters; or the depth of Depth Anything 3, VGGT or MegaSaM (.npz), ViPE (the folder of its
-    results), Shape of Motion (aligned_depth_anything) or MoSca. 0 and NaN are unknown. It is fitted to cameras that are not its own."""
+    results), Shape of Motion (aligned_depth_anything) or MoSca. 0 and NaN are unknown. It is fitted to cameras that are not its
+    own."""
     masks: Path | None = None
     """A folder of images, 00000.png ... or one a frame: object numbers or colors, black = background; or the masks of ViPE (the
     folder of its results) or Segment Anything Video (.json). Masks of held-out frames are kept for the evaluation."""

@@ -122,9 +122,9 @@ def write_tracks(tracks: GivenTracks, path: Path, scene: Scene) -> None:
 
 def _read(path: Path, scene: Scene) -> tuple[Iterator[Found], str]:
     if path.is_file() and path.suffix == ".npz":
-        arrays = read_npz(path, spatracker.ARRAYS, MAX_TRACK_BYTES)
-        if set(spatracker.ARRAYS) <= arrays.keys():
-            points, seen = spatracker.read_points(path, arrays, scene)
+        world = read_npz(path, spatracker.ARRAYS, MAX_TRACK_BYTES)
+        if set(spatracker.ARRAYS) <= world.keys():
+            points, seen = spatracker.read_points(path, world, scene)
             return iter([(points.swapaxes(0, 1), seen.T.astype(np.float32))]), spatracker.MAKER
         return _archives([path])
     if path.is_dir():

@@ -28,7 +28,7 @@ from flowsplat.priors.given.gaps import fill_gaps
 from flowsplat.scenes import Depth, Scene
 
 MAKER = "ViPE"
-RESTING = {"background", "sky"}
+RESTING_LABELS = {"background", "sky"}
 """What its labels call that does not move."""
 _MAX_FILE_BYTES = 64 * 2**20
 """Of one image in a zip. Chosen by eye."""
@@ -144,4 +144,4 @@ def find_resting(path: Path) -> list[int]:
     named = [re.fullmatch(r"\s*([0-9]{1,9})\s*:(.*)", line) for line in read_text(beside).splitlines() if line.strip()]
     if not all(named):
         raise InputError(f"{beside} is not as ViPE writes it: its lines are not number: what it is.")
-    return [int(line[1]) for line in named if line and line[2].strip().lower() in RESTING]
+    return [int(line[1]) for line in named if line and line[2].strip().lower() in RESTING_LABELS]
