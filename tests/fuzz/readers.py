@@ -32,6 +32,7 @@ from flowsplat.pipeline.summary import figures_table, report_data
 from flowsplat.priors.given import GivenPriors
 from flowsplat.priors.given.cameras import read_cameras
 from flowsplat.priors.given.depth import open_depth
+from flowsplat.priors.given.fitting import Placement
 from flowsplat.priors.given.flow import read_flow
 from flowsplat.priors.given.tracks import read_tracks
 from flowsplat.priors.given.truth import consecutive_pairs
@@ -49,8 +50,11 @@ from flowsplat.training.checkpoint import load_checkpoint, load_model, save_mode
 from flowsplat.training.trainer import Trainer
 from tests.output.small import small_model
 from tests.priors.given import test_camera_files as cameras_of_others
+from tests.priors.given import test_feedforward_files as networks
 from tests.priors.given import test_map_files as maps_of_others
+from tests.priors.given import test_sav_files as sav_files
 from tests.priors.given import test_track_files as tracks_of_others
+from tests.priors.given import test_vipe_files as vipe_files
 from tests.scenes.conftest import make_image, write_image_file, write_video
 from tests.scenes.formats.nvidia_layouts import write_nerfies, write_raw, write_twelve
 from tests.training.handful import a_few, seen, tiny
@@ -182,25 +186,23 @@ def given_scene(folder: Path, size: tuple[int, int], frames: int) -> Scene:
 
 def _given(folder: Path) -> None:
     others, maps, tracks = cameras_of_others, maps_of_others, tracks_of_others
-    for name in (
-        "cameras",
-        "depth",
-        "depth_png",
-        "disparity_disp",
-        "mosca_depth",
-        "masks",
-        "flow",
-        "flo",
-        "kitti",
-        "mosca_flow",
-        "megasam",
-    ):
+    folders = (
+        "cameras depth depth_png disparity_disp mosca_depth masks flow flo kitti mosca_flow megasam millimeters vggt "
+        "depth_anything_3 sav"
+    )
+    for name in folders.split():
         (folder / name).mkdir(parents=True)
     (folder / "cameras" / "transforms.json").write_text(json.dumps(others.transforms()))
     others.colmap_text(folder / "text")
     others.colmap_binary(folder / "binary")
     write_json(folder / "own" / "own.json", [camera.to_json() for camera in others.path()])
     others.megasam(folder / "megasam" / "a.npz")
+    networks.depth_anything(folder / "depth_anything_3" / "a.npz", (56, 28))
+    networks.vggt(folder / "vggt" / "a.npz", (70, 70), Placement(0, 14, 70, 42), border=1.0)
+    sav_files.sav(
+        folder / "sav" / "a.json", masklet=[[sav_files.pack(np.pad(np.ones((20, 30)), ((0, 28), (0, 55))))]] * maps.FRAMES
+    )
+    vipe_files.vipe(folder / "vipe")
     maps.flow_cache(folder / "cache")
     wide = np.full((48, 85), 2.0, np.float32)
     for i in range(maps.FRAMES):
@@ -208,6 +210,7 @@ def _given(folder: Path) -> None:
         cv2.imwrite(str(folder / "depth_png" / f"{i:05d}.png"), np.full((48, 85), 2000, np.uint16))
         np.save(folder / "disparity_disp" / f"{i:05d}.npy", wide)
         np.savez_compressed(folder / "mosca_depth" / f"{i:05d}.npz", dep=wide)
+        cv2.imwrite(str(folder / "millimeters" / f"{i:05d}.png"), np.full((48, 85), 2000, np.uint16))
         write_image_file(folder / "masks" / f"{i:05d}.png", np.pad(np.full((24, 40), i, np.uint8), ((0, 24), (0, 45))))
     scene = given_scene(folder / "scene", maps.SIZE, maps.FRAMES)
     for i, j in [*consecutive_pairs(scene), (1, 2)]:
@@ -406,8 +409,14 @@ READERS = (
             ("depth", "megasam", "a.npz"), ("masks", "masks", ""), ("flow", "flow", ""), ("flow", "flo", ""), ("flow", "kitti", ""),
             ("flow", "mosca_flow", ""), ("flow", "cache", ""), ("tracks", "tracks/tapir", ""), ("tracks", "tracks/marbles", ""),
             ("tracks", "tracks/mosca", ""), ("tracks", "tracks/cotracker", "a.npz"), ("tracks", "tracks/tapnet", "a.npz"),
+            ("depth", "millimeters", ""), ("cameras", "depth_anything_3", "a.npz"), ("depth", "depth_anything_3", "a.npz"),
+            ("masks", "sav", "a.json"), ("tracks", "tracks/spatialtracker2", "clip_result.npz"),
+            ("cameras", "vggt", "a.npz"), ("depth", "vggt", "a.npz"),
         )
     ),
+    Reader("given cameras, vipe", "given/vipe", ("pose/*", "intrinsics/*"), _given_of("cameras", "")),
+    Reader("given depth, vipe", "given/vipe", ("depth/*",), _given_of("depth", "")),
+    Reader("given masks, vipe", "given/vipe", ("mask/*",), _given_of("masks", "")),
     Reader("camera paths", CAMERAS, ("own.json", "transforms.json", "nerfstudio.json"), _read_camera_files),
     Reader("queries", CAMERAS, ("queries.*",), _read_queries),
     Reader("messages of a browser", "messages", ("*",), _hear),

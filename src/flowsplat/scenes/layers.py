@@ -166,9 +166,11 @@ def decode_image(path: Path, flags: int, expected: tuple[int, int] | None = None
     Raises:
         InputError: no ordinary file, larger than an image may be, or of another size; all before it is decoded.
     """
-    if not os.path.lexists(path):
-        return None
-    data = read_bytes(path, _MAX_IMAGE_BYTES)
+    return decode_image_bytes(path, read_bytes(path, _MAX_IMAGE_BYTES), flags, expected) if os.path.lexists(path) else None
+
+
+def decode_image_bytes(path: Path, data: bytes, flags: int, expected: tuple[int, int] | None = None) -> np.ndarray | None:
+    """Return what ``decode_image`` does from the bytes of a file; ``path`` is what to call it."""
     size = image_pixels(data)
     if size is None or min(size) < 1:
         return None

@@ -44,7 +44,9 @@ def path(size: tuple[int, int] = FULL) -> list[Camera]:
 
 
 def check(scene: Scene, file: Path, maker: str, tolerance: float = 1e-6, allow_pickle: bool = False) -> None:
-    found, who = read_cameras(file, scene, allow_pickle)
+    given = read_cameras(file, scene, allow_pickle)
+    found, who = given.cameras, given.maker
+    assert given.told == ""
     assert who == maker
     assert len(found) == FRAMES
     for camera, true in zip(found, path(), strict=True):
@@ -132,7 +134,7 @@ def test_colmap_in_binary(scene: Scene, tmp_path: Path):
 
 def test_colmap_with_one_focal_length_and_hardly_any_distortion(scene: Scene, tmp_path: Path):
     colmap_text(tmp_path / "model", "SIMPLE_RADIAL", (1700.0, 960.0, 540.0, 1e-4))
-    cameras, _ = read_cameras(tmp_path / "model", scene, False)
+    cameras = read_cameras(tmp_path / "model", scene, False).cameras
     expected = Camera(np.eye(4), np.array([[1700, 0, 960], [0, 1700, 540], [0, 0, 1]]), *FULL).resize(*SIZE)
     np.testing.assert_allclose(cameras[2].K, expected.K)
 

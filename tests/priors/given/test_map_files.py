@@ -340,3 +340,32 @@ def test_a_large_object_is_no_inverted_mask(scene: Scene, tmp_path: Path):
     labels[:, : SIZE[0] // 5] = labels[: SIZE[1] // 5] = 0
     use_given(scene, GivenPriors(masks=write_masks(tmp_path / "masks", labels)))
     assert scene.mask(scene.train_frames[0]).mean() > 0.6
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".png"])
+def test_depth_of_0_or_nan_is_not_known(scene: Scene, tmp_path: Path, suffix: str):
+    """As planar depth, and as depth cameras save it: whole millimeters in 16 bits, of which only the unit has to be fitted."""
+    depth = ramp(427, 240, (427, 240))
+    depth[:20, :100] = 0
+    for i in range(FRAMES):
+        if suffix == ".npy":
+            depth[20:40, :100] = np.nan
+            np.save(tmp_path / f"{i:05d}.npy", depth)
+        else:
+            cv2.imwrite(str(tmp_path / f"{i:05d}.png"), np.rint(depth * 1000).astype(np.uint16))
+    given = open_depth(tmp_path, scene)
+    found = given.read(4)
+    unknown, unit = (80, 1) if suffix == ".npy" else (40, 65535 / 1000)
+    assert given.fits == (("any",) if suffix == ".npy" else ())
+    assert (found.confidence[:unknown, :200] == 0).all()
+    assert (found.confidence[unknown:] == 1).all()
+    assert (found.confidence[:, 200:] == 1).all()
+    np.testing.assert_allclose(found.depth[unknown:] * unit, EXPECTED[unknown:], rtol=0.01)
+    assert np.isfinite(found.depth).all()
+
+
+def test_depth_that_is_none_is_refused(scene: Scene, tmp_path: Path):
+    for i in range(FRAMES):
+        np.save(tmp_path / f"{i:05d}.npy", np.full(SIZE[::-1], -1.0))
+    with pytest.raises(InputError, match="depths that are not finite and positive, and no others"):
+        open_depth(tmp_path, scene)

@@ -84,6 +84,36 @@ def cotracker(folder: Path) -> Path:
     return folder / "a.npz"
 
 
+def cotracker_batch(folder: Path) -> Path:
+    """As what comes out of CoTracker 3 is often saved: with its batch, and visibility with an axis of its own."""
+    np.savez(folder / "a.npz", tracks=pixels().swapaxes(0, 1)[None], visibility=visible().T[None, ..., None])
+    return folder / "a.npz"
+
+
+def spatial_v2(folder: Path, kept: tuple[int, int] = (336, 209), whole: tuple[int, int] = (518, 322), top: int = 0) -> Path:
+    """As SpatialTrackerV2's inference.py writes it: in the world, with cameras of images of 518 x 322, stored 336 wide."""
+    scale = 336 / 518
+    size = np.array([WIDTH, HEIGHT])
+    uv = ((pixels() + 0.5) * (whole / size) - [0, top]) * scale - 0.5  # [N, T, 2]
+    K = np.diag([400.0, 400, 1])
+    K[:2, 2] = np.array([518, min(whole[1], 518)]) * scale / 2
+    depth = 2 + np.arange(POINTS)[:, None] + 0.1 * np.arange(FRAMES)
+    local = np.concatenate([uv, np.ones((*uv.shape[:2], 1))], -1) @ np.linalg.inv(K).T * depth[..., None]
+    poses = np.repeat(np.eye(4)[None], FRAMES, 0)
+    for t in range(FRAMES):
+        angle = 0.1 * t
+        poses[t, :3, :3] = [[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]]
+        poses[t, :3, 3] = [0.3 * t, 0.1, -0.2 * t]
+    coords = np.einsum("tji,ntj->tni", poses[:, :3, :3], local - poses[:, :3, 3])
+    np.savez(
+        folder / "clip_result.npz", coords=coords.astype(np.float32), extrinsics=poses.astype(np.float32),
+        intrinsics=np.repeat(K[None], FRAMES, 0).astype(np.float32), depths=np.ones((FRAMES, *kept[::-1]), np.float32),
+        video=np.zeros((FRAMES, 3, *kept[::-1]), np.float32), visibs=visible().T[..., None].astype(np.float32),
+        unc_metric=np.ones((FRAMES, *kept[::-1]), np.float32),
+    )  # fmt: skip
+    return folder / "clip_result.npz"
+
+
 def tapnet(folder: Path) -> Path:
     np.savez(folder / "a.npz", tracks=pixels(), visibles=visible())
     return folder / "a.npz"
@@ -96,6 +126,8 @@ LAYOUTS = {
     "mosca": (mosca, "MoSca", 2),
     "spatracker": (spatial, "MoSca", 1),
     "cotracker": (cotracker, "CoTracker", 1),
+    "cotracker, with its batch": (cotracker_batch, "MoSca", 1),
+    "spatialtracker2": (spatial_v2, "SpatialTrackerV2", 1),
     "tapnet": (tapnet, "TAPIR", 1),
 }
 
@@ -201,3 +233,28 @@ def test_bad_files_are_refused_in_one_line(scene: Scene, tmp_path: Path, name: s
     with pytest.raises(InputError, match=message) as caught:
         read_tracks(make(tmp_path / "given"), scene, None)
     assert "\n" not in str(caught.value)
+
+
+def test_spatialtracker2_of_a_tall_clip_is_put_back_where_it_was_cropped(tmp_path: Path):
+    """A clip of 480 x 854 becomes 518 x 924, of which the middle 518 rows are seen."""
+    scene = Scene.create(
+        tmp_path / "scene", name="s", source="", width=480, height=854, timestamps=range(FRAMES), holdout=3, source_fps=1
+    )
+    seen = np.ones((FRAMES, 1), np.float32)
+    middle = {
+        "coords": np.tile(np.float32([0, 0, 2]), (FRAMES, 1, 1)), "visibs": seen, "depths": np.ones((FRAMES, 336, 336), np.float32),
+        "extrinsics": np.repeat(np.eye(4)[None], FRAMES, 0),
+        "intrinsics": np.repeat(np.array([[300.0, 0, 0], [0, 300, 0], [0, 0, 1]])[None], FRAMES, 0),
+    }  # fmt: skip
+    np.savez(tmp_path / "a.npz", **middle)
+    found = read_tracks(tmp_path / "a.npz", scene, None).points[0, 0]
+    np.testing.assert_allclose(found, [0.5 * 480 / 336, (0.5 * 518 / 336 + 203) * 854 / 924], rtol=1e-5)
+
+
+def test_spatialtracker2_of_another_shape_is_refused(scene: Scene, tmp_path: Path):
+    with pytest.raises(InputError, match="another shape"):
+        read_tracks(spatial_v2(tmp_path, (336, 336)), scene, None)
+    content = dict(np.load(tmp_path / "clip_result.npz"))
+    np.savez(tmp_path / "a.npz", **{**content, "visibs": content["visibs"][1:]})
+    with pytest.raises(InputError, match="not as SpatialTrackerV2 writes it"):
+        read_tracks(tmp_path / "a.npz", scene, None)

@@ -1,8 +1,9 @@
 """Files, in and out.
 
 What is written is whole or not there (``writing``). What is read comes from anywhere: ``opening`` refuses what is no ordinary file
-or larger than its kind can need, and one reader for each kind understands it (``json_file``, ``arrays``). Names that come out of
-files or from a browser become names of files through ``names`` alone. Who writes into a folder that others may want has a
+or larger than its kind can need, and one reader for each kind understands it (``json_file``, ``arrays``, ``zip_file``). Names that
+come out of files or from a browser become names of files through ``names`` alone.
+Who writes into a folder that others may want has a
 ``lease`` of it; who does a piece of a list of work has a claim on it (``Claims``).
 """
 
@@ -23,6 +24,7 @@ from flowsplat.common.files.writing import (
     write_npz,
     write_text,
 )
+from flowsplat.common.files.zip_file import list_zip, read_zip
 
 __all__ = [
     "Claims",
@@ -30,6 +32,7 @@ __all__ = [
     "check_json",
     "hash_files",
     "lease",
+    "list_zip",
     "make_folder",
     "ordinary_file",
     "plain_name",
@@ -40,6 +43,7 @@ __all__ = [
     "read_npz",
     "read_rows",
     "read_text",
+    "read_zip",
     "remove_partials",
     "require_keys",
     "write_bytes",

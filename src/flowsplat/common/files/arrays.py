@@ -9,17 +9,17 @@ from __future__ import annotations
 import bz2
 import io
 import math
-import os
 import zipfile
 import zlib
 from collections.abc import Collection
 from pathlib import Path
-from typing import IO, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from flowsplat.common.errors import InputError, first_line
 from flowsplat.common.files.opening import ordinary_file
+from flowsplat.common.files.zip_file import open_zip
 from flowsplat.common.syntax import PARSING
 
 MAX_ARRAY_BYTES = 96 * 2**20
@@ -28,10 +28,6 @@ _KINDS = "biuf"
 """Truth values, whole numbers and floats: everything else needs pickle, or is not used by any format."""
 _PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)
 """How NumPy and rig scenes pack."""
-_MAX_ZIP_MEMBERS = 4096
-"""Files in a zip, at most. A round number, against archives made to exhaust memory."""
-_MAX_ZIP_DIRECTORY_BYTES = 2**20
-"""Bytes of a zip's directory. Chosen by eye."""
 _MAX_AXIS_LENGTH = 2**31
 """Length of one axis of an array, at most (exclusive): what a signed 32-bit index reaches."""
 _BOM = b"\x93NUMPY"
@@ -47,19 +43,7 @@ def read_npz(path: Path, names: Collection[str] | None = None, most: int = MAX_A
     Raises:
         InputError: missing, not an ordinary file, damaged, with objects, or with larger arrays.
     """
-    ordinary_file(path)
-    try:
-        with open(path, "rb") as file:
-            _check_directory(path, file)
-            with zipfile.ZipFile(file) as archive:
-                return _read_members(path, archive, names, most)
-    except InputError:
-        raise
-    except MemoryError as error:
-        raise InputError(f"There is not enough memory to read {path}.") from error
-    # What damage makes of the zip, of zlib and of NumPy's parser of headers is no list to be kept here.
-    except Exception as error:
-        raise InputError(f"{path} is damaged or truncated: {first_line(error)}.") from error
+    return open_zip(path, lambda archive: _read_members(path, archive, names, most))
 
 
 def read_npy(path: Path, most: int = MAX_ARRAY_BYTES) -> np.ndarray:
@@ -78,20 +62,6 @@ def read_npy(path: Path, most: int = MAX_ARRAY_BYTES) -> np.ndarray:
         raise InputError(f"There is not enough memory to read {path}.") from error
     except Exception as error:
         raise InputError(f"{path} is no readable .npy file (damaged or truncated): {first_line(error)}.") from error
-
-
-def _check_directory(path: Path, file: IO[bytes]) -> None:
-    """Refuse a zip whose directory alone would fill the memory: it is read as a whole when the zip is opened."""
-    size = file.seek(0, os.SEEK_END)
-    file.seek(max(size - 66_000, 0))  # the last record may be followed by a comment of 65,535 bytes
-    tail = file.read()
-    at = tail.rfind(b"PK\x05\x06")
-    if at < 0 or len(tail) < at + 22:
-        raise InputError(f"{path} is damaged or truncated: it is no zip file.")
-    members, bytes_of_directory = (int.from_bytes(tail[at + a : at + b], "little") for a, b in ((10, 12), (12, 16)))
-    if members > _MAX_ZIP_MEMBERS or bytes_of_directory > _MAX_ZIP_DIRECTORY_BYTES or tail[max(at - 20, 0) :][:4] == b"PK\x06\x07":
-        raise InputError(f"{path} is damaged: it lists more arrays than such a file can hold.")
-    file.seek(0)
 
 
 def _read_members(path: Path, archive: zipfile.ZipFile, names: Collection[str] | None, most: int) -> dict[str, np.ndarray]:

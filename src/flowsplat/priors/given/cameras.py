@@ -2,56 +2,74 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, read_npz
 from flowsplat.geometry import Camera
-from flowsplat.priors.given import droid, megasam
+from flowsplat.priors.given import droid, feedforward, megasam, vipe
 from flowsplat.priors.given.colmap import find_model, read_colmap
-from flowsplat.priors.given.fitting import require_frames, require_shape
+from flowsplat.priors.given.fitting import compute_max_bytes, require_frames, require_shape
 from flowsplat.priors.given.nerfstudio import is_nerfstudio, read_nerfstudio
 from flowsplat.scenes import Scene
 
 KNOWN = (
     "a JSON list of cameras, nerfstudio's transforms.json, a COLMAP model (cameras and images, .bin or .txt), "
-    "MegaSaM's .npz with cam_c2w, DROID-SLAM's droid_recon .npy"
+    "the .npz of Depth Anything 3 (extrinsics), VGGT (extrinsic) or MegaSaM (cam_c2w), "
+    "the folder of ViPE's results (pose and intrinsics in it), DROID-SLAM's droid_recon .npy"
 )
 
 
-def read_cameras(path: Path, scene: Scene, allow_pickle: bool) -> tuple[list[Camera], str]:
-    """Return one camera a frame at the size of the frames, and whose layout it was.
+@dataclass(frozen=True)
+class GivenCameras:
+    """One camera a frame at the size of the frames, whose layout it was, and what is to be said about them, in sentences."""
+
+    cameras: list[Camera]
+    maker: str
+    told: str = ""
+
+
+def read_cameras(path: Path, scene: Scene, allow_pickle: bool) -> GivenCameras:
+    """Read cameras of any known layout.
 
     Raises:
         InputError: missing, damaged, of no known layout, not one camera a frame, or of another shape.
     """
-    cameras, maker = _read(Path(path), scene, allow_pickle)
-    for index, camera in enumerate(cameras):
+    given = _read(Path(path), scene, allow_pickle)
+    for index, camera in enumerate(given.cameras):
         if not camera.is_valid:
             raise InputError(f"{path}: the camera of frame {index} is not finite or its viewmat is not a rotation.")
         require_shape(path, camera.width, camera.height, scene)
-    return [camera.resize(scene.width, scene.height) for camera in cameras], maker
+    return replace(given, cameras=[camera.resize(scene.width, scene.height) for camera in given.cameras])
 
 
-def _read(path: Path, scene: Scene, allow_pickle: bool) -> tuple[list[Camera], str]:
+def _read(path: Path, scene: Scene, allow_pickle: bool) -> GivenCameras:
     if path.is_dir():
         model = find_model(path)
         if (path / "transforms.json").is_file():
             path = path / "transforms.json"
         elif model is not None:
-            return read_colmap(model, scene), "COLMAP"
+            cameras, told = read_colmap(model, scene)
+            return GivenCameras(cameras, "COLMAP", told)
+        elif vipe.find_file(path, "pose", scene):
+            cameras, told = vipe.read_cameras(path, scene)
+            return GivenCameras(cameras, vipe.MAKER, told)
     suffix = path.suffix.lower()
     if suffix == ".json":
         content = read_json(path)
         if is_nerfstudio(content):
-            return read_nerfstudio(path, content, scene), "nerfstudio"
-        return _read_own(path, content, scene), "flowsplat"
+            cameras, told = read_nerfstudio(path, content, scene)
+            return GivenCameras(cameras, "nerfstudio", told)
+        return GivenCameras(_read_own(path, content, scene), "flowsplat")
     if suffix == ".npz":
-        arrays = read_npz(path, megasam.ARRAYS, most=megasam.compute_max_bytes(scene))
+        arrays = read_npz(path, {*megasam.ARRAYS, *feedforward.ARRAYS}, most=compute_max_bytes(scene))
         if megasam.is_megasam(arrays):
-            return megasam.read_cameras(path, arrays, scene), megasam.MAKER
+            return GivenCameras(megasam.read_cameras(path, arrays, scene), megasam.MAKER)
+        if maker := feedforward.find_maker(arrays, with_cameras=True):
+            return GivenCameras(feedforward.read_cameras(path, arrays, maker, scene), maker)
     if suffix == ".npy":
-        return droid.read_droid(path, scene, allow_pickle), droid.MAKER
+        return GivenCameras(droid.read_droid(path, scene, allow_pickle), droid.MAKER)
     if not path.exists():
         raise InputError(f"{path} does not exist.")
     raise InputError(f"{path} holds no cameras of a known layout. Looked for: {KNOWN}.")

@@ -14,7 +14,7 @@ from flowsplat.common.files import read_bytes, read_text
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import rigid
 from flowsplat.geometry.rotations import quats_to_rotations
-from flowsplat.priors.given.fitting import require_frames
+from flowsplat.priors.given.gaps import fill_gaps, find_frames
 from flowsplat.scenes import Scene
 from flowsplat.scenes.formats.images import natural_key
 from flowsplat.scenes.formats.lens import require_pinhole
@@ -57,11 +57,13 @@ def find_model(folder: Path) -> Path | None:
     return None
 
 
-def read_colmap(model: Path, scene: Scene) -> list[Camera]:
-    """Return one camera a frame, at the size of COLMAP's images; the natural order of their names is that of the frames.
+def read_colmap(model: Path, scene: Scene) -> tuple[list[Camera], str]:
+    """Return one camera a frame, at the size of COLMAP's images, and what is to be said about them.
+
+    The natural order of the names is that of the frames.
 
     Raises:
-        InputError: damaged, a lens that is no pinhole, or not every frame was registered.
+        InputError: damaged, a lens that is no pinhole, or too many frames in a row were not registered.
     """
     suffix = ".bin" if (model / "cameras.bin").is_file() else ".txt"
     path = model / f"images{suffix}"
@@ -74,17 +76,18 @@ def read_colmap(model: Path, scene: Scene) -> list[Camera]:
             images = _text_images(read_text(path, _MAX_IMAGES_BYTES))
     except (struct.error, ValueError, IndexError, OverflowError) as error:
         raise InputError(f"{model} is no readable COLMAP model (damaged or truncated): {error}.") from error
-    require_frames(path, len(images), scene, "registered images")
-    cameras = []
-    for image in sorted(images, key=lambda image: natural_key(Path(image.name))):
+    images = sorted(images, key=lambda image: natural_key(Path(image.name)))
+    frames = find_frames(path, [image.name for image in images], scene, "registered images")
+    cameras = {}
+    for frame, image in zip(frames, images, strict=True):
         if image.camera not in lenses:
             raise InputError(f"{path}: {image.name} has camera {image.camera}, which cameras{suffix} does not hold.")
         name, width, height, parameters = lenses[image.camera]
         K, distortion = _lens(name, parameters)
         require_pinhole(model / f"cameras{suffix}", K, width, height, distortion, " (colmap image_undistorter)")
         rotation = quats_to_rotations(torch.tensor(image.quat, dtype=torch.float64)).numpy()
-        cameras.append(Camera(rigid(rotation, image.translation), K, width, height))
-    return cameras
+        cameras[frame] = Camera(rigid(rotation, image.translation), K, width, height)
+    return fill_gaps(path, cameras, scene)
 
 
 def _lens(name: str, parameters: tuple[float, ...]) -> tuple[np.ndarray, tuple[float, ...]]:

@@ -12,15 +12,16 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_npy, read_npz
-from flowsplat.priors.given import droid, megasam
-from flowsplat.priors.given.fitting import files_by_frame, require_shape
+from flowsplat.priors.given import droid, feedforward, megasam, vipe
+from flowsplat.priors.given.fitting import compute_max_bytes, files_by_frame, require_shape
 from flowsplat.scenes import Depth, Scene
 from flowsplat.scenes.clip import resize_labels
 from flowsplat.scenes.layers import decode_image
 
 KNOWN = (
     "a folder of 00000.npy or gray .png ... (depth or disparity), Shape of Motion's aligned_depth_anything (disparity, .npy or "
-    "16-bit .png), MoSca's *_depth (.npz with dep), MegaSaM's .npz with depths"
+    "16-bit .png), MoSca's *_depth (.npz with dep), the .npz of Depth Anything 3, VGGT (both depth) or MegaSaM (depths), "
+    "the folder of ViPE's results (depth in it)"
 )
 
 DISPARITY_FOLDERS = re.compile(r"depth_anything|_disp$", re.IGNORECASE)
@@ -87,16 +88,12 @@ def open_depth(path: Path, scene: Scene) -> GivenDepth:
 
 def _open(path: Path, scene: Scene) -> GivenDepth:
     if path.is_file() and path.suffix == ".npz":
-        depths = megasam.MegaSamDepth(path, scene)
-
-        def read(i: int) -> tuple[np.ndarray, np.ndarray]:
-            found = depths(i)
-            return found.depth, found.confidence
-
-        return GivenDepth(megasam.MAKER, (megasam.MAKER,), read, DEPTH, is_certain=True)
+        return _open_archive(path, scene)
     if not path.is_dir():
         wrong = "holds no depth of a known layout" if path.exists() else "does not exist"
         raise InputError(f"{path} {wrong}. Looked for: {KNOWN}.")
+    if archive := vipe.find_file(path, "depth", scene):
+        return _certain(vipe.MAKER, vipe.VipeDepth(archive, scene))
     suffixes = {file.suffix.lower() for file in path.iterdir()}
     is_disparity = any(DISPARITY_FOLDERS.search(part) for part in path.resolve().parts[-3:])
     # Of two kinds of files in one folder the one with the exact values is read.
@@ -110,6 +107,23 @@ def _open(path: Path, scene: Scene) -> GivenDepth:
     fits = {"Shape of Motion": (droid.MAKER,), "flowsplat": ("any",) * (suffix == ".npy")}.get(maker, ())
     files = files_by_frame(path, (suffix,), scene, "depth")
     return GivenDepth(maker, fits, lambda i: _read_known(files[i], read_values, MIN_VALUE[maker], scene), kind, suffix == ".npz")
+
+
+def _open_archive(path: Path, scene: Scene) -> GivenDepth:
+    arrays = read_npz(path, {*megasam.ARRAYS, *feedforward.ARRAYS}, most=compute_max_bytes(scene))
+    if maker := feedforward.find_maker(arrays, with_cameras=False):
+        return _certain(maker, feedforward.FeedForwardDepth(path, arrays, maker, scene))
+    return _certain(megasam.MAKER, megasam.MegaSamDepth(path, arrays, scene))
+
+
+def _certain(maker: str, depths: Callable[[int], Depth]) -> GivenDepth:
+    """Return what files hold that say themselves that it is depth."""
+
+    def read(i: int) -> tuple[np.ndarray, np.ndarray]:
+        found = depths(i)
+        return found.depth, found.confidence
+
+    return GivenDepth(maker, (maker,), read, DEPTH, is_certain=True)
 
 
 def _read_known(path: Path, read_values: Callable[[Path], np.ndarray], least: float, scene: Scene) -> tuple[np.ndarray, np.ndarray]:

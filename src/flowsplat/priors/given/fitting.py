@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from flowsplat.common.errors import InputError
-from flowsplat.scenes import Scene
+from flowsplat.geometry import Camera
+from flowsplat.scenes import Depth, Scene
 from flowsplat.scenes.formats.images import natural_key
 
 SLAM_AREA = 384 * 512
@@ -17,6 +19,64 @@ SLAM_AREA = 384 * 512
 
 SLAM_MULTIPLE = 8
 """Their sides are then cropped, at the right and at the bottom, to a multiple of this."""
+
+PATCH_SIDE = 14
+"""Sides of the images of networks on DINOv2 (Depth Anything, VGGT, UniDepth) are multiples of this."""
+
+_MAX_BYTES_PER_FRAME = 32 * 2**20
+"""Bytes: six pairs of flow of an image of 640 x 480. Chosen by eye."""
+
+
+def compute_max_bytes(scene: Scene) -> int:
+    """Return the most bytes of the arrays in one file with something of every frame."""
+    return _MAX_BYTES_PER_FRAME * scene.num_frames
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where the whole frame lies in the image that another program made of it, in pixels of that image.
+
+    Programs resize, often not alike in both directions, crop and pad. What was cut off lies outside of the image.
+    """
+
+    left: float
+    top: float
+    width: float
+    height: float
+
+    def camera(self, viewmat: np.ndarray, K: np.ndarray, scene: Scene) -> Camera:
+        """Return the camera of a frame from one in pixels of that image."""
+        moved = np.asarray(K, np.float64) - [[0, 0, self.left], [0, 0, self.top], [0, 0, 0]]
+        scale = np.array([scene.width / self.width, scene.height / self.height, 1])
+        with np.errstate(all="ignore"):  # whoever reads cameras looks whether they are finite
+            return Camera(viewmat, scale[:, None] * moved, scene.width, scene.height)
+
+    def place_depth(self, depth: np.ndarray, known: np.ndarray, scene: Scene) -> Depth:
+        """Return depth [H, W] at the size of the frames, where ``known`` [H, W] with confidence 1.
+
+        Elsewhere it is as far as the furthest, and what was cut off continues its border, both without confidence.
+        """
+        rows, seen_down = _nearest(self.top, self.height, scene.height, depth.shape[0])
+        columns, seen_across = _nearest(self.left, self.width, scene.width, depth.shape[1])
+        furthest = depth[known].max() if known.any() else 1
+        there = np.ix_(rows, columns)
+        filled = np.where(known, depth, furthest).astype(np.float32)[there]
+        return Depth(filled, (known[there] & seen_down[:, None] & seen_across).astype(np.float32))
+
+
+def _nearest(start: float, length: float, count: int, available: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return of ``count`` pixels that cover ``length`` from ``start`` on the nearest of the pixels available, and whether they lie
+    among them."""
+    found = np.floor(start + (np.arange(count) + 0.5) * length / count).astype(int)
+    return np.clip(found, 0, available - 1), (found >= 0) & (found < available)
+
+
+def rounds_to(width: int, height: int, multiple: int, scene: Scene) -> bool:
+    """Return whether images of the frames' shape may become ``width`` x ``height`` where sides become multiples of a number."""
+    if width % multiple or height % multiple:
+        return False
+    sides = (width / scene.width, multiple / scene.width), (height / scene.height, multiple / scene.height)
+    return max(scale - step for scale, step in sides) < min(scale + step for scale, step in sides)
 
 
 CHOOSING = "--start, --end, --every, --max-frames and --keep-all choose the frames of the clip"

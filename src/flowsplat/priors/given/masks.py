@@ -1,32 +1,59 @@
-"""Masks from a folder of images: our own numbering, DAVIS's Annotations, or any names in the order of the frames."""
+"""Masks: a folder of images (our own numbering, DAVIS's Annotations, or any names in the order of the frames), those of ViPE, or
+the JSON of Segment Anything Video."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
+import cv2
+import numpy as np
+
+from flowsplat.common.files import read_zip
+from flowsplat.priors.given import sav, vipe
 from flowsplat.priors.given.fitting import files_by_frame, require_shape
 from flowsplat.scenes import Scene
-from flowsplat.scenes.formats.masks import GivenMasks, read_labels, require_rest
+from flowsplat.scenes.formats.masks import GRAY, GivenMasks, read_labels, require_rest, unpack_labels
+from flowsplat.scenes.layers import decode_image_bytes
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+_MAX_MASK_BYTES = 64 * 2**20
+"""Of one mask in a zip. Chosen by eye."""
 
 
-def use_masks(folder: Path, scene: Scene) -> None:
+def use_masks(path: Path, scene: Scene) -> None:
     """Write the masks of the training frames into the scene, and those of held-out frames for the evaluation.
 
     Raises:
         InputError: one of a training frame is missing, damaged, or of another shape; or hardly anything rests by them.
     """
-    paths = files_by_frame(Path(folder), SUFFIXES, scene, "a mask")
+    paths, read = _find(Path(path), scene)
     first = paths[scene.train_frames[0]]
-    height, width = read_labels(first).shape
+    height, width = read(first).shape
     require_shape(first, width, height, scene)
-    training = GivenMasks.scan({str(i): paths[i] for i in scene.train_frames}, (width, height))
+    training = GivenMasks.scan({str(i): paths[i] for i in scene.train_frames}, (width, height), read=read)
     size = (scene.width, scene.height)
     masks = {i: training.read(str(i), size) for i in scene.train_frames}
-    require_rest(str(folder), list(masks.values()))
+    require_rest(str(path), list(masks.values()))
     for i, mask in masks.items():
         scene.write_mask(i, mask)
     for i in scene.heldout_frames:
         if i in paths:
             scene.heldout_masks.write_mask(i, training.read_moving(paths[i], size))
+
+
+def _find(path: Path, scene: Scene) -> tuple[dict[int, Path], Callable[[Path], np.ndarray]]:
+    """Return the masks by their frames, and what reads the labels of one."""
+    if archive := vipe.find_file(path, "mask", scene):
+        resting = [label * GRAY for label in vipe.find_resting(archive)]
+
+        def read(member: Path) -> np.ndarray:
+            data = read_zip(archive, member.name, _MAX_MASK_BYTES)
+            labels = unpack_labels(member, decode_image_bytes(member, data, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH))
+            return np.where(np.isin(labels, resting), 0, labels)
+
+        return {i: archive / name for i, name in vipe.list_members(archive, ".png", scene, "a mask").items()}, read
+    if path.suffix.lower() == ".json":
+        masklets = sav.read_masklets(path, scene)
+        return {i: path / f"{i:05d}" for i in range(len(masklets))}, lambda part: sav.decode_labels(part, masklets[int(part.name)])
+    return files_by_frame(path, SUFFIXES, scene, "a mask"), read_labels

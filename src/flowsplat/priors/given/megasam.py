@@ -6,7 +6,9 @@
 | ``cache_flow/*/flows.npy``, ``flows_masks.npy`` | [P, 2, h, w] at half the size, [P, 1, h, w] whether the way back agrees |
 | ``cache_flow/*/ii-jj.npy`` | [2, P] from which image to which |
 
-Its images are resized and cropped (``fitting.slam_size``). The second ``.npz`` has the better depth.
+Its images are resized and cropped (``fitting.slam_size``); forks resize them to sides that are multiples of 8 or of 14, a little
+more in one direction. The principal point, which is in the middle of the whole image, tells them apart. The second ``.npz`` has the
+better depth.
 """
 
 from __future__ import annotations
@@ -17,9 +19,18 @@ import cv2
 import numpy as np
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import read_npy, read_npz
+from flowsplat.common.files import read_npy
 from flowsplat.geometry import Camera
-from flowsplat.priors.given.fitting import pad_to, require_frames, slam_size
+from flowsplat.priors.given.fitting import (
+    PATCH_SIDE,
+    SLAM_MULTIPLE,
+    Placement,
+    compute_max_bytes,
+    pad_to,
+    require_frames,
+    rounds_to,
+    slam_size,
+)
 from flowsplat.scenes import Depth, Flow, Scene
 from flowsplat.scenes.clip import resize_labels
 
@@ -27,16 +38,12 @@ MAKER = "MegaSaM"
 
 _MAX_CLIPPED_DEPTH = 1.1e-3
 """Depths up to here are where MegaSaM clips, and mean that it has none."""
+MAX_CENTER_ERROR = 0.25
+"""Pixels by which twice the principal point may differ from a side that it tells: MegaSaM stores an eighth of it as float32, and
+sides are whole numbers. Chosen by eye."""
 
 
 ARRAYS = ("depths", "intrinsic", "cam_c2w")
-_MAX_BYTES_PER_FRAME = 32 * 2**20
-"""Bytes: six pairs of flow of an image of 640 x 480. Chosen by eye."""
-
-
-def compute_max_bytes(scene: Scene) -> int:
-    """Return the most bytes of the arrays in one file."""
-    return _MAX_BYTES_PER_FRAME * scene.num_frames
 
 
 def is_megasam(arrays: dict[str, np.ndarray]) -> bool:
@@ -51,42 +58,56 @@ def read_cameras(path: Path, arrays: dict[str, np.ndarray], scene: Scene) -> lis
         InputError: not of this clip.
     """
     poses, K = arrays["cam_c2w"], arrays["intrinsic"]
-    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or K.shape != (3, 3) or arrays["depths"].ndim != 3:
-        raise InputError(f"{path} is not as MegaSaM writes it: cam_c2w {poses.shape}, intrinsic {K.shape}.")
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4):
+        raise InputError(f"{path} is not as MegaSaM writes it: cam_c2w has shape {poses.shape}.")
     require_frames(path, len(poses), scene, "cameras")
-    width, height = slam_size(path, arrays["depths"].shape[2], arrays["depths"].shape[1], scene)
+    placement = _place(path, arrays, scene)
     try:
-        return [Camera(np.linalg.inv(pose.astype(np.float64)), K, width, height) for pose in poses]
+        return [placement.camera(np.linalg.inv(pose.astype(np.float64)), K, scene) for pose in poses]
     except np.linalg.LinAlgError as error:
         raise InputError(f"{path} holds a pose that is no camera's: {error}.") from error
+
+
+def _place(path: Path, arrays: dict[str, np.ndarray], scene: Scene) -> Placement:
+    """Return where the whole frame lies in MegaSaM's images.
+
+    Raises:
+        InputError: no images of this clip.
+    """
+    depths, K = arrays["depths"], arrays["intrinsic"]
+    if depths.ndim != 3 or K.shape != (3, 3):
+        raise InputError(f"{path} is not as MegaSaM writes it: depths {depths.shape}, intrinsic {K.shape}.")
+    height, width = depths.shape[1:]
+    whole = 2 * K[:2, 2].astype(np.float64)
+    for multiple in (SLAM_MULTIPLE, PATCH_SIDE):
+        if rounds_to(width, height, multiple, scene):
+            if np.abs(whole - (width, height)).max() <= MAX_CENTER_ERROR:
+                return Placement(0, 0, width, height)
+            cut = whole - (width, height)
+            if (cut > -MAX_CENTER_ERROR).all() and (cut < multiple).all():
+                return Placement(0, 0, *whole)
+    return Placement(0, 0, *slam_size(path, width, height, scene))
 
 
 class MegaSamDepth:
     """The depth of one result."""
 
-    def __init__(self, path: Path, scene: Scene):
-        """Open it.
+    def __init__(self, path: Path, arrays: dict[str, np.ndarray], scene: Scene):
+        """Take it from the arrays of ``path``.
 
         Raises:
-            InputError: missing, damaged or not of this clip.
+            InputError: not of MegaSaM, or not of this clip.
         """
-        arrays = read_npz(path, ARRAYS, most=compute_max_bytes(scene))
         if not is_megasam(arrays):
             raise InputError(f"{path} has no depth of MegaSaM: it needs depths, intrinsic and cam_c2w.")
         self._depths, self._scene = arrays["depths"], scene
-        if self._depths.ndim != 3:
-            raise InputError(f"{path} is not as MegaSaM writes it: depths has shape {self._depths.shape}.")
+        self._placement = _place(path, arrays, scene)
         require_frames(path, len(self._depths), scene, "depth maps")
-        self._size = slam_size(path, self._depths.shape[2], self._depths.shape[1], scene)
 
     def __call__(self, i: int) -> Depth:
         """Return depth of frame ``i`` in MegaSaM's units, at the size of the frames; no confidence where it has none."""
         depth = self._depths[i].astype(np.float32)
-        known = np.isfinite(depth) & (depth > _MAX_CLIPPED_DEPTH)
-        depth = np.where(known, depth, depth[known].max() if known.any() else 1.0)
-        whole, certain = pad_to(depth, self._size, mode="edge"), pad_to(known.astype(np.float32), self._size)
-        size = (self._scene.width, self._scene.height)
-        return Depth(resize_labels(whole, size), resize_labels(certain, size))
+        return self._placement.place_depth(depth, np.isfinite(depth) & (depth > _MAX_CLIPPED_DEPTH), self._scene)
 
 
 def is_flow_cache(folder: Path) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
-from flowsplat.priors.given.fitting import require_frames
+from flowsplat.priors.given.gaps import fill_gaps, find_frames
 from flowsplat.scenes import Scene
 from flowsplat.scenes.formats.images import natural_key
 from flowsplat.scenes.formats.nerfstudio import transforms_camera
@@ -20,22 +20,25 @@ def is_nerfstudio(content: Any) -> bool:
     return isinstance(content, dict) and isinstance(content.get("frames"), list)
 
 
-def read_nerfstudio(path: Path, content: dict[str, Any], scene: Scene) -> list[Camera]:
-    """Return one camera a frame; in the order of their times where all have one, else in the natural order of their images.
+def read_nerfstudio(path: Path, content: dict[str, Any], scene: Scene) -> tuple[list[Camera], str]:
+    """Return one camera a frame, and what is to be said about them; in the order of their times where all have one, else in the
+    natural order of their images.
 
     Raises:
-        InputError: a value is missing, a lens is no pinhole, or there is not one frame for each of the clip.
+        InputError: a value is missing, a lens is no pinhole, or too many frames in a row have no camera.
     """
     frames = content["frames"]
-    require_frames(path, len(frames), scene, "frames")
     try:
-        if all("time" in frame for frame in frames):
+        if len(frames) == scene.num_frames and all("time" in frame for frame in frames):
             frames = sorted(frames, key=lambda frame: float(frame["time"]))
+            numbers = list(range(len(frames)))
         else:
             frames = sorted(frames, key=lambda frame: natural_key(Path(frame["file_path"])))
-        return [transforms_camera(path, {**content, **frame}, (scene.width, scene.height)) for frame in frames]
+            numbers = find_frames(path, [frame["file_path"] for frame in frames], scene, "frames")
+        cameras = [transforms_camera(path, {**content, **frame}, (scene.width, scene.height)) for frame in frames]
     except (KeyError, TypeError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise InputError(f"{path} is no transforms.json of nerfstudio: {_reason(error)}.") from error
+    return fill_gaps(path, dict(zip(numbers, cameras, strict=True)), scene)
 
 
 def _reason(error: Exception) -> str:

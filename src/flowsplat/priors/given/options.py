@@ -14,19 +14,21 @@ class GivenPriors:
 
     cameras: Path | None = None
     """Our JSON list (one camera a frame: viewmat [4, 4] world to camera with OpenCV axes, K [3, 3], width, height), or the
-    cameras of nerfstudio (transforms.json), COLMAP (a sparse model), MegaSaM (.npz) or DROID-SLAM (droid_recon .npy)."""
+    cameras of nerfstudio (transforms.json), COLMAP (a sparse model), Depth Anything 3, VGGT or MegaSaM (.npz), ViPE (the folder of
+    its results) or DROID-SLAM (droid_recon .npy). Two missing frames in a row are interpolated."""
     depth: Path | None = None
     """A folder of 00000.npy ... [H, W] or gray .png of 8 or 16 bits, one for every training frame: planar depth (in the units of
-    the cameras where these are given) or disparity, which the parallax of the clip tells; or the depth of MegaSaM (.npz), Shape of
-    Motion (aligned_depth_anything) or MoSca. It is fitted to cameras that are not its own."""
+    the cameras where these are given; whole numbers of millimeters, too) or disparity, which the parallax of the clip tells; or the
+    depth of Depth Anything 3, VGGT or MegaSaM (.npz), ViPE (the folder of its results), Shape of Motion (aligned_depth_anything) or
+    MoSca. 0 and NaN are unknown. It is fitted to cameras that are not its own."""
     masks: Path | None = None
-    """A folder of images, 00000.png ... or one a frame: object numbers or colors, black = background. Masks of held-out
-    frames are kept for the evaluation."""
+    """A folder of images, 00000.png ... or one a frame: object numbers or colors, black = background; or the masks of ViPE (the
+    folder of its results) or Segment Anything Video (.json). Masks of held-out frames are kept for the evaluation."""
     flow: Path | None = None
     """A folder of 00000_00001.npz (as in a scene folder), .flo or KITTI .png, in pixels, both ways between consecutive
     training frames; or the flow of MegaSaM (cache_flow) or MoSca (flow_raft), of which missing pairs are computed."""
     tracks: Path | None = None
-    """Tracks of TAPIR or BootsTAPIR, CoTracker, or MoSca: a folder of .npy, or .npz files."""
+    """Tracks of TAPIR or BootsTAPIR, CoTracker, SpatialTrackerV2 or MoSca: a folder of .npy, or .npz files."""
     depth_kind: Literal["depth", "disparity", "inverted-disparity"] | None = None
     """What the values of given depth are, where the parallax of the clip does not tell: depth (large is far, zero is here),
     disparity (large is near), or disparity subtracted from white (large is far)."""

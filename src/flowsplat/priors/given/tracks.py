@@ -6,6 +6,7 @@
 | Dynamic Gaussian Marbles (CoTracker) | folder of ``track_<frame>.npy`` | [T, N, 3]: x, y, visible |
 | MoSca | ``*_tap.npz``, or a folder of them | ``tracks`` [T, N, 2 or 3], ``visibility`` [T, N] |
 | CoTracker | ``.npz`` | ``pred_tracks`` [1, T, N, 2], ``pred_visibility`` [1, T, N] |
+| SpatialTrackerV2 | ``.npz`` | ``coords`` [T, N, 3], ``visibs`` [T, N] and more (``spatracker``) |
 | TAPIR | ``.npz`` | ``tracks`` [N, T, 2], ``visibles`` [N, T] |
 
 All count pixels from 0 at the center of the first one. A track that is followed from every frame comes many times;
@@ -24,6 +25,7 @@ from scipy.special import expit
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_npy, read_npz
 from flowsplat.geometry.interpolation import sample_map
+from flowsplat.priors.given import spatracker
 from flowsplat.priors.given.fitting import require_frames
 from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.formats.images import natural_key
@@ -36,7 +38,8 @@ MAX_TRACK_BYTES = 160 * 2**20
 
 KNOWN = (
     "a folder of <from>_<to>.npy (TAPIR in Shape of Motion's preprocessing), of track_<frame>.npy (CoTracker) or of "
-    "*_tap.npz (MoSca), or a .npz with tracks and visibility, pred_tracks and pred_visibility, or tracks and visibles"
+    "*_tap.npz (MoSca), or a .npz with tracks and visibility, pred_tracks and pred_visibility, tracks and visibles, or coords and "
+    "visibs (SpatialTrackerV2)"
 )
 
 _ARCHIVES = {
@@ -119,6 +122,10 @@ def write_tracks(tracks: GivenTracks, path: Path, scene: Scene) -> None:
 
 def _read(path: Path, scene: Scene) -> tuple[Iterator[Found], str]:
     if path.is_file() and path.suffix == ".npz":
+        world = read_npz(path, spatracker.ARRAYS, MAX_TRACK_BYTES)
+        if set(spatracker.ARRAYS) <= world.keys():
+            points, seen = spatracker.read_points(path, world, scene)
+            return iter([(points.swapaxes(0, 1), seen.T.astype(np.float32))]), spatracker.MAKER
         return _archives([path])
     if path.is_dir():
         arrays = sorted(path.glob("*.npy"), key=natural_key)
@@ -170,7 +177,7 @@ def _archives(files: list[Path]) -> tuple[Iterator[Found], str]:
         if not maker:
             raise InputError(f"{file} holds no tracks of a known layout. Looked for: {KNOWN}.")
         points, seen = (arrays[name] for name in _ARCHIVES[maker])
-        if maker == "CoTracker" and points.ndim == 4 and len(points) == 1:
+        if maker != "TAPIR" and points.ndim == 4 and len(points) == 1:  # a batch of one, as the network gives it
             points = points[0]
             seen = seen.reshape(points.shape[:2]) if seen.size == points[..., 0].size else seen
         if points.ndim != 3 or points.shape[2] not in (2, 3) or seen.shape != points.shape[:2]:

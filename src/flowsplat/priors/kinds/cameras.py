@@ -50,11 +50,12 @@ def _read_true(scene: Scene, truth: Layers) -> bool:
 
 
 def _read_given(request: PriorRequest, path: Path) -> None:
-    cameras, maker = read_cameras(path, request.scene, request.options.given.allow_pickle)
-    cameras, told = fit_to_images(cameras, request.scene)
+    given = read_cameras(path, request.scene, request.options.given.allow_pickle)
+    cameras, told = fit_to_images(given.cameras, request.scene)
     request.scene.write_cameras(cameras)
-    request.scene.finish_prior("cameras", method=GIVEN, verdict="; ".join(filter(None, (verdict_of(path, maker), told))))
-    request.memory[MAKER] = maker
+    verdict = "; ".join(filter(None, (verdict_of(path, given.maker), given.told, told)))
+    request.scene.finish_prior("cameras", method=GIVEN, verdict=verdict)
+    request.memory[MAKER] = given.maker
 
 
 CAMERAS = Kind(

@@ -45,7 +45,15 @@ def read_labels(path: Path) -> np.ndarray:
     Raises:
         InputError: missing or not an image.
     """
-    image = decode_image(path, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
+    return unpack_labels(path, decode_image(path, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH))
+
+
+def unpack_labels(path: Path, image: np.ndarray | None) -> np.ndarray:
+    """Return what ``read_labels`` does from the image that OpenCV read from ``path``; None is no image.
+
+    Raises:
+        InputError: it is none.
+    """
     if image is None or image.dtype not in (np.uint8, np.uint16):
         raise InputError(f"{path} is no readable mask: save masks as 8-bit PNG.")
     if image.ndim == 2 or image.shape[2] <= 2:
@@ -70,27 +78,33 @@ class GivenMasks:
         colors: [n] sorted labels that became the objects 1, 2, ...; None: all one object.
         void: labels that mean that nobody knows.
         turns: how masks are brought upright that were stored as their images are, where these are turned by EXIF.
+        labels: reads the labels of a path.
     """
 
     paths: Mapping[str, Path]
     colors: np.ndarray | None
     void: tuple[int, ...] = ()
     turns: Mapping[str, Turn] = field(default_factory=dict)
+    labels: Callable[[Path], np.ndarray] = read_labels
 
     @staticmethod
-    def scan(paths: Mapping[str, Path], size: tuple[int, int], images: Mapping[str, Path] | None = None) -> GivenMasks:
+    def scan(
+        paths: Mapping[str, Path], size: tuple[int, int], images: Mapping[str, Path] | None = None,
+        read: Callable[[Path], np.ndarray] = read_labels,
+    ) -> GivenMasks:  # fmt: skip
         """Read every mask once, to check its size (width, height) and to number the objects of the clip.
 
         Args:
             images: the images that the masks belong to, by name, where they are at hand. What has their size before EXIF turns
                 them is turned as they are.
+            read: labels [H, W] int32 of a path, 0 = background; paths may be of parts of a file.
 
         Raises:
             InputError: a mask cannot be read or has another size.
         """
         colors, turns = np.zeros(0, np.int32), {}
         for name, path in paths.items():
-            labels = read_labels(path)
+            labels = read(path)
             if labels.shape == size != size[::-1] and images is not None:
                 turns[name] = find_turn(images[name])
                 labels = turns[name](labels)
@@ -102,13 +116,13 @@ class GivenMasks:
             if len(colors) <= MAX_OBJECTS:
                 colors = np.union1d(colors, labels[labels > 0])
         if len(colors) > MAX_OBJECTS:
-            return GivenMasks(paths, None, turns=turns)
+            return GivenMasks(paths, None, turns=turns, labels=read)
         void = find_void(colors)
-        return GivenMasks(paths, np.setdiff1d(colors, void), void, turns)
+        return GivenMasks(paths, np.setdiff1d(colors, void), void, turns, read)
 
     def read(self, name: str, size: tuple[int, int]) -> np.ndarray:
         """Return [H, W] uint8 object numbers at ``size`` (width, height), 0 = background."""
-        labels = self.turns.get(name, np.asarray)(read_labels(self.paths[name]))
+        labels = self.turns.get(name, np.asarray)(self.labels(self.paths[name]))
         if self.colors is None:
             objects = (labels > 0).astype(np.uint8)
         else:
@@ -117,7 +131,7 @@ class GivenMasks:
 
     def read_moving(self, path: Path, size: tuple[int, int]) -> np.ndarray:
         """Return [H, W] uint8 at ``size`` (width, height) of a mask of the same clip: 1 for what moves, of whatever label."""
-        labels = read_labels(path)
+        labels = self.labels(path)
         return resize_labels(((labels > 0) & ~np.isin(labels, self.void)).astype(np.uint8), size)
 
 
