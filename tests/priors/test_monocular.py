@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from flowsplat.priors.background.monocular_maps import Monocular, fit_line
 from flowsplat.priors.flow import flow_stage
-from flowsplat.priors.monocular import Monocular, fit_line, monocular_stage
+from flowsplat.priors.monocular import monocular_stage
 from flowsplat.scenes import Scene
 
 from .planes import HEIGHT, WALL, WIDTH, write_planes

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
+from flowsplat.priors.background.monocular_maps import Monocular
 from flowsplat.priors.cameras import CameraOptions
 from flowsplat.priors.flow import dis_estimator, flow_stage
 from flowsplat.priors.given import GivenPriors
 from flowsplat.priors.graph import PRIORS
-from flowsplat.priors.monocular import Monocular
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.priors.prepare import prepare_priors, request_of, use_given, use_truth
 from flowsplat.scenes import Flow, Scene

@@ -38,6 +38,9 @@ class PriorsOptions:
     """What something that moves is as far away as: x,y@frame=x2,y2, where x2,y2 shows something still in that frame."""
     depth: Literal["multiview", "depth-anything", "depth-pro"] = "multiview"
     """Depth: multiview (no weights), or a monocular network of the extra ``learned``, fitted to the cameras frame by frame."""
+    object_depth: Literal["none", "depth-anything", "depth-pro"] = "none"
+    """Monocular depth by a network of the extra ``learned`` that only helps to tell how far away objects are, as far as it is right
+    where nothing moves. Where the camera does not travel, it also gives the depth of all else."""
     models: ModelOptions = field(default_factory=ModelOptions)
     """Which weights the learned ones use."""
     given: GivenPriors = field(default_factory=GivenPriors)

@@ -82,6 +82,13 @@ def request_of(scene: Scene, options: PriorsOptions, device: str = "auto") -> Pr
     prompts, hints = check_places(scene, options)
     if hints and (options.priors == "true" or options.depth != "multiview" or options.given.depth is not None):
         raise InputError("--contact and --same-depth place objects in depth of our own: leave out what takes other depth.")
+    monocular = options.object_depth != "none" or options.given.object_depth is not None
+    if monocular and (options.priors == "true" or options.depth != "multiview" or options.given.depth is not None):
+        raise InputError("--object-depth places objects in depth of our own: leave out what takes other depth.")
+    if options.object_depth != "none" and options.given.object_depth is not None:
+        raise InputError(
+            f"--object-depth {options.object_depth} and --given.object-depth are two sources of one thing: give one of them."
+        )
     if prompts and options.given.masks is not None:
         raise InputError("--given.masks and --mask-click or --mask-box both say what moves: give one of them.")
     _require_images_as_they_are(options)

@@ -28,6 +28,7 @@ from flowsplat.scenes.formats.nerfies import is_nerfies
 from flowsplat.scenes.formats.nvidia import RAW_IMAGES, is_nvidia
 from flowsplat.scenes.ingest import open_clip
 from flowsplat.training.config import select_result_settings
+from flowsplat_benchmarks.datasets.learned_like import StandIn
 from flowsplat_benchmarks.priors.scenes import TUNED
 from flowsplat_benchmarks.roots import open_root, require_scenes
 
@@ -163,23 +164,38 @@ def _davis_clips(root: Path, options: InputOptions) -> Iterator[tuple[str, Path 
 def rig_cases(
     root: Path,
     names: Sequence[str] = (),
-    priors: Literal["true", "own"] = "own",
+    priors: Literal["true", "own", "learned-like"] = "own",
     preset_name: str = "default",
     config: RunConfig | None = None,
+    stand_in: tuple[StandIn, Path] | None = None,
 ) -> list[Case]:
     """Return rendered scenes with truth and held-out cameras.
+
+    Args:
+        stand_in: with ``learned-like`` priors, which, and the folder that they are written into.
 
     Raises:
         InputError: no such folder, no scenes in it, or none of that name.
     """
     config, settings = protocol_config(preset_name, config, holdout=None)
-    config = replace(config, priors=replace(config.priors, priors=priors))
+    if priors != "learned-like":
+        config = replace(config, priors=replace(config.priors, priors=priors))
     cases = [
         Case("rig", path.name, "", f"{priors} priors", settings, path, config)
         for path in _places(root, "rig")
         if (path / "rgb").is_dir() and (path / "cameras.json").exists()
     ]
-    return _choose_cases(root, cases, names, "rig/*/rgb with cameras.json")
+    chosen = _choose_cases(root, cases, names, "rig/*/rgb with cameras.json")
+    if stand_in is None:
+        return chosen
+    what, folder = stand_in
+    return [
+        replace(
+            case, variant=what.words,
+            config=replace(config, priors=what.give(case.source, config.input, folder / case.scene, config.priors)),
+        )
+        for case in chosen
+    ]  # fmt: skip
 
 
 # -- NVIDIA

@@ -15,6 +15,9 @@ from flowsplat.priors.background.fuse import fuse
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.reprojection import reproject, uncover
 
+MIN_DEPTH, MAX_DEPTH = 0.05, 30.0
+"""Multiples of the median depth between which all depths lie. Chosen by eye."""
+
 FUSION_OFFSETS = (2, 4, 8, 16)
 """Training frames before and after, whose depth is fused with a frame's own. Chosen by eye."""
 

@@ -11,15 +11,12 @@ from flowsplat.priors.background.fill import upsample
 from flowsplat.priors.background.longflow import FLOW_STRIDES
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.refined import RefinedDepth
-from flowsplat.priors.background.static_depth import StaticDepth, camera_reach, static_depth
+from flowsplat.priors.background.static_depth import MAX_DEPTH, MIN_DEPTH, StaticDepth, camera_reach, static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.objects import SceneObjects, load_objects
 from flowsplat.priors.objects.areas import large_objects
 from flowsplat.priors.objects.description import sureness
 from flowsplat.scenes import Depth, Scene
-
-MIN_DEPTH, MAX_DEPTH = 0.05, 30.0
-"""Multiples of the median depth between which all depths lie. Chosen by eye."""
 
 FRONT_MARGIN, KNOWN_FRONT_MARGIN = 1.03, 1.02
 """How much nearer than all that is known to be behind it an object is at least: where nothing tells its distance, and where

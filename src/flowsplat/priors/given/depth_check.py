@@ -9,15 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.progress import report
+from flowsplat.priors.background.monocular_maps import METRIC_SHIFT_SIGMA, RELATIVE_SHIFT_SIGMA, Monocular, fit_line
 from flowsplat.priors.given.camera_check import Matches, match_frames
 from flowsplat.priors.given.depth import DEPTH, DISPARITY, INVERTED, GivenDepth
-from flowsplat.priors.monocular import METRIC_SHIFT_SIGMA, RELATIVE_SHIFT_SIGMA, fit_line
 from flowsplat.scenes import Scene
 
 MAX_OFF_LINE, MIN_PARALLAX = 1.0, 2.0
@@ -134,6 +135,20 @@ def choose_kind(scene: Scene, given: GivenDepth, matches: Sequence[Matches], pat
     if is_clear and not any({kind, best} <= set(way) for way in WAYS):
         report(f"{path} is read as {kind}, as it is said to be, but as {best} it would fit far better: {told} off the parallax.")
     return kind, f"read as {kind} (off the parallax {told})"
+
+
+def monocular_of(scene: Scene, depth: GivenDepth, matches: Sequence[Matches], path: Path, told: str | None, said: str) -> Monocular:
+    """Return given depth that is to be fitted to the cameras, by the kind that ``choose_kind`` finds.
+
+    Args:
+        told: what it is said to be.
+        said: where it comes from, for people.
+
+    Raises:
+        InputError: as of ``choose_kind``.
+    """
+    kind, sentence = choose_kind(scene, depth, matches, path, told)
+    return Monocular("given", f"{said}, {sentence}", kind != DEPTH, partial(depth.inverse, kind=kind))
 
 
 def _ask(path: Path, why: str) -> str:

@@ -36,11 +36,14 @@ class GivenPriors:
     """Width and height of the images in which the given tracks were made, where it is not that of the frames."""
     allow_pickle: bool = False
     """Read pickled files (DROID-SLAM's droid_recon), which can run any code: only for files that you trust."""
+    object_depth: Path | None = None
+    """Depth of a network, as for depth, that only helps to tell how far away objects are (--object-depth): all else stays what the
+    images show."""
 
     @staticmethod
     def names() -> list[str]:
         """Return the priors that files can be given for, in the order in which they are read."""
-        return [each.name for each in fields(GivenPriors) if each.name not in _HOW_TO_READ]
+        return [each.name for each in fields(GivenPriors) if each.name not in _NO_PRIORS]
 
     @property
     def named(self) -> dict[str, Path]:
@@ -50,7 +53,8 @@ class GivenPriors:
     def files(self) -> list[tuple[str, Path]]:
         """Return all files that are named, or lie in folders that are named, with names that do not depend on where they lie."""
         found = []
-        for name, path in self.named.items():
+        cue = {"object_depth": self.object_depth} if self.object_depth is not None else {}
+        for name, path in {**self.named, **cue}.items():
             if path.is_dir():
                 inside = sorted(file for file in path.rglob("*") if file.is_file() and not file.name.startswith("."))
                 found += [(f"{name}/{file.relative_to(path).as_posix()}", file) for file in inside]
@@ -59,5 +63,5 @@ class GivenPriors:
         return found
 
 
-_HOW_TO_READ = ("depth_kind", "tracks_size", "allow_pickle")
-"""Settings that are no files."""
+_NO_PRIORS = ("object_depth", "depth_kind", "tracks_size", "allow_pickle")
+"""What takes the place of no prior."""

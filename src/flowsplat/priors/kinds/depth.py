@@ -2,29 +2,41 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from flowsplat.priors.depth import depth_stage
-from flowsplat.priors.given import depth_check
 from flowsplat.priors.given.depth import open_depth
-from flowsplat.priors.given.depth_check import choose_kind, is_in_units, match_training_frames, require_told
+from flowsplat.priors.given.depth_check import is_in_units, match_training_frames, monocular_of, require_told
 from flowsplat.priors.given.fitting import verdict_of
 from flowsplat.priors.kinds.cameras import MAKER
+from flowsplat.priors.kinds.object_depth import open_object_depth
 from flowsplat.priors.kinds.static_depth import STATIC
 from flowsplat.priors.learned.weights import network_device
-from flowsplat.priors.monocular import Monocular, monocular_stage
+from flowsplat.priors.monocular import monocular_stage
 from flowsplat.priors.prior import BROUGHT, GIVEN, Kind, PriorRequest, Stage
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import Layers
 
 OWN = "multiview"
+GUESS = "guess"
+"""Method of depth of a clip without parallax, whatever gives it: its scale is free."""
 
 
 def _compute(request: PriorRequest) -> Stage:
     scene, estimate = request.scene, request.estimate
     if request.options.depth == OWN:
-        return lambda: depth_stage(scene, estimate, request.memory.pop(STATIC))
+        monocular = open_object_depth(request)
+
+        def stage() -> None:
+            clip, static = request.memory.pop(STATIC)
+            if monocular is None or clip.has_parallax:
+                depth_stage(scene, estimate, (clip, static))
+            else:
+                monocular_stage(scene, replace(monocular(), method=GUESS), estimate, clip)
+
+        return stage
     from flowsplat.priors.learned.depth import predict_depth
 
     source = predict_depth(request.options.depth, scene, request.options.models, network_device(request.device))
@@ -58,9 +70,7 @@ def _read_given(request: PriorRequest, path: Path) -> Stage | None:
         require_told(scene, path, matches)
 
     def fit() -> None:
-        kind, sentence = choose_kind(scene, depth, matches, path, told)
-        inverse = partial(depth.inverse, kind=kind)
-        monocular_stage(scene, Monocular(GIVEN, f"{said}, {sentence}", kind != depth_check.DEPTH, inverse), request.estimate)
+        monocular_stage(scene, monocular_of(scene, depth, matches, path, told, said), request.estimate)
 
     return fit
 
@@ -69,7 +79,7 @@ DEPTH = Kind(
     compute=_compute,
     options=("depth", "models"),
     files=("depth",),
-    own=("multi-view", "guess"),
+    own=("multi-view", GUESS),
     asked=lambda request: None if request.options.depth == OWN else request.options.depth,
     finds_flow=True,
     read_true=_read_true,

@@ -5,20 +5,23 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from flowsplat.priors.background.monocular_maps import Monocular
 from flowsplat.priors.learned.weights import ModelOptions, from_hub, require_package
-from flowsplat.priors.monocular import Monocular
 from flowsplat.scenes import Scene
 
 INSTEAD = "--depth multiview"
 
 
-def predict_depth(name: str, scene: Scene, models: ModelOptions, device: torch.device) -> Monocular:
+def predict_depth(name: str, scene: Scene, models: ModelOptions, device: torch.device, option: str | None = None) -> Monocular:
     """Return the depth of ``depth-anything`` or ``depth-pro`` for training frames of a scene.
+
+    Args:
+        option: what the user chose, as it is typed; the default is ``--depth``.
 
     Raises:
         InputError: transformers or the weights are not there.
     """
-    option = f"--depth {name}"
+    option = option or f"--depth {name}"
     transformers = require_package("transformers", option, INSTEAD)
     require_package("torchvision", option, INSTEAD)  # What prepares the images needs it.
     source = models.depth_pro if name == "depth-pro" else models.depth_anything

@@ -21,6 +21,7 @@ WORDS = {
     "bounce": "touches the ground when it bounces",
     "pivot": "swings about a fixed point",
     "height": "keeps its height over the ground",
+    "monocular": "monocular depth",
     "contact_hint": "a hint: it touches what is still",
     "same_depth_hint": "a hint: as far away as a place of the still scene",
 }

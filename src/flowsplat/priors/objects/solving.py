@@ -22,6 +22,7 @@ from flowsplat.priors.objects.contact_cues import (
 )
 from flowsplat.priors.objects.depth_trajectory import DepthTrajectory, ObjectTracks, solve_depth_trajectory
 from flowsplat.priors.objects.distance import Cue, Distance, combine
+from flowsplat.priors.objects.monocular_cue import MonocularDistances
 from flowsplat.priors.objects.path import bounce_frames
 from flowsplat.priors.objects.rematching import ObjectImages
 from flowsplat.priors.objects.shape_offset import EXPECTED_OFFSET_SIGMA, ShapePoints, interpolate_shape_offset, roundness
@@ -111,7 +112,7 @@ def tracks_of_objects(
 def solve_object(
     number: int, positions: np.ndarray, inside: np.ndarray, middles: np.ndarray, bounds: Sequence[Bound | None],
     cameras: Sequence[Camera], ground: Ground | None, log_billboards: np.ndarray, normal: np.ndarray,
-    front: Callable[[int], np.ndarray], images: ObjectImages | None = None,
+    front: Callable[[int], np.ndarray], images: ObjectImages | None = None, monocular: MonocularDistances | None = None,
 ) -> DynamicObject:  # fmt: skip
     """Return one object.
 
@@ -125,6 +126,7 @@ def solve_object(
         normal: [3] up.
         front: gives the ``roundness`` [H, W] of its mask in training frame k.
         images: to match its points anew in; None: tracks are all there is.
+        monocular: what monocular depth says of its distance.
     """
     seen = np.isfinite(log_billboards) & np.isfinite(middles).all(1)
     tracks, feet = ObjectTracks(positions, inside, middles, cameras, normal), Feet.of(bounds, int(seen.sum()))
@@ -146,7 +148,9 @@ def solve_object(
     if stands is not None and found.motion is None:
         depth_trajectory = depth_trajectory + settle_on_ground(at_ground - stands.log_scale, feet.visible)
         guess = float(np.median((log_billboards - depth_trajectory)[seen]))
-    distance, cues = _distance(guess, found.cues, stands, bounces, at_ground[np.isfinite(at_ground) & feet.ground_seen])
+    at_ground = at_ground[np.isfinite(at_ground) & feet.ground_seen]
+    network = None if monocular is None else monocular.cue(number, depth_trajectory)
+    distance, cues = _distance(guess, found.cues, stands, bounces, at_ground, network)
     points = replace(found.points, log_depth=found.points.log_depth + distance.log_scale)
     expected = EXPECTED_OFFSET_SIGMA * found.motion.size if found.motion is not None else 0.0
     return DynamicObject(
@@ -193,7 +197,7 @@ def _at_feet(
 
 
 def _distance(
-    guess: float, laws: Mapping[str, Cue], stands: Cue | None, bounces: Cue | None, known: np.ndarray
+    guess: float, laws: Mapping[str, Cue], stands: Cue | None, bounces: Cue | None, known: np.ndarray, network: Cue | None = None
 ) -> tuple[Distance, Mapping[str, Cue]]:
     """Return how far away an object is, and the cue that says so, by its name.
 
@@ -202,6 +206,7 @@ def _distance(
         laws: what laws of motion say.
         stands: what its feet say that stand on the ground; ``bounces``: that touch it for moments.
         known: [n] where it would touch the ground, of the frames that see that.
+        network: what monocular depth says. What is less sure than all else together changes nothing.
     """
     cues, far = dict(laws), []
     # Where it touches is what bounds it; else no frame may put it below the ground. Ground that is only supposed bounds nothing.
@@ -214,8 +219,12 @@ def _distance(
     if len(cues) > 1:
         surest = min(cues, key=lambda name: cues[name].sigma)
         cues = {surest: cues[surest]}
+    near_ground = float(np.percentile(known, GUESS_PERCENTILE)) - ABOVE_GROUND_LEAD if len(known) >= MIN_BOUNDS else None
     if touch is not None and touch in cues.values():
         # What hides behind an object that touches the ground says nothing that its feet do not say better.
-        return combine(touch.log_scale, cues, far), cues
-    near_ground = float(np.percentile(known, GUESS_PERCENTILE)) - ABOVE_GROUND_LEAD if len(known) >= MIN_BOUNDS else None
+        guess, near_ground = touch.log_scale, None
+    distance = combine(guess, cues, far, near_ground)
+    if network is None or network.sigma > distance.sigma:
+        return distance, cues
+    cues = {**cues, "monocular": network}
     return combine(guess, cues, far, near_ground), cues

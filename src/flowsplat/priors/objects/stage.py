@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from flowsplat.common.progress import track
 from flowsplat.common.spread import spread
 from flowsplat.priors.background.ground import Ground, find_ground, static_points, up_direction
 from flowsplat.priors.background.matched_clip import MatchedClip
+from flowsplat.priors.background.monocular_maps import Monocular, MonocularMaps
 from flowsplat.priors.background.static_depth import Background, StaticDepth, static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.objects.areas import large_objects
@@ -17,6 +18,7 @@ from flowsplat.priors.objects.billboards import make_billboards
 from flowsplat.priors.objects.contact import Bound, compute_ground_bound, middle_of
 from flowsplat.priors.objects.hints import Hint, with_hints
 from flowsplat.priors.objects.identity import identify_objects
+from flowsplat.priors.objects.monocular_cue import MonocularDistances
 from flowsplat.priors.objects.rematching import ObjectImages, gray
 from flowsplat.priors.objects.shape_offset import roundness
 from flowsplat.priors.objects.solving import solve_object, tracks_of_objects
@@ -31,7 +33,7 @@ GROUND_FRAMES = 16
 
 def objects_stage(
     scene: Scene, estimate: FlowEstimator = dis_estimator, static: tuple[MatchedClip, StaticDepth] | None = None,
-    hints: Sequence[Hint] = (),
+    hints: Sequence[Hint] = (), monocular: Callable[[], Monocular] | None = None,
 ) -> None:  # fmt: skip
     """Depth trajectory, shape offset and distance of every numbered object. Needs cameras, flow, masks and tracks.
 
@@ -41,13 +43,17 @@ def objects_stage(
         estimate: finds the flow between frames that are no neighbors.
         static: the clip and its static scene, where they are at hand.
         hints: what the user knows of distances.
+        monocular: gives monocular depth that tells of distances, too, where the clip has parallax.
 
     Raises:
         InputError: a hint does not fit the clip.
     """
     identify_objects(scene)
     clip = static[0] if static else MatchedClip(scene, estimate)
-    found = find_objects(clip, static[1] if static else static_depth(clip, has_masks=True), hints)
+    background = static[1] if static else static_depth(clip, has_masks=True)
+    source = monocular() if monocular is not None else None
+    maps = MonocularMaps(clip, source) if source is not None and isinstance(background, Background) else None
+    found = find_objects(clip, background, hints, maps)
     save_objects(scene, found)
     large = large_objects(scene)
     objects = [obj for obj in found.objects if obj.number in large]
@@ -56,14 +62,23 @@ def objects_stage(
     verdict = f"{count} object{'s' if count != 1 else ''}, {rigid} of them rigid, {tied} tied to the still scene"
     if small:
         verdict += f"; {small} small part{'s' * (small > 1)}"
+    if maps is not None:
+        maps.remove()
+        helped = sum("monocular" in obj.cues for obj in objects)
+        verdict += f"; {maps.source.source} helps to place {helped} of them"
     scene.finish_prior(
         "objects", method="motion", verdict=verdict, objects=count, small=small, rigid=rigid, tied=tied,
-        hints=[hint.text for hint in hints],
+        hints=[hint.text for hint in hints], **({"monocular": source.method} if source is not None else {}),
     )  # fmt: skip
 
 
-def find_objects(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hint] = ()) -> SceneObjects:
+def find_objects(
+    clip: MatchedClip, background: StaticDepth, hints: Sequence[Hint] = (), monocular: MonocularMaps | None = None
+) -> SceneObjects:
     """Return the objects of a clip.
+
+    Args:
+        monocular: depth that tells of distances, too, where the clip has parallax.
 
     Raises:
         InputError: a hint does not fit it.
@@ -78,16 +93,21 @@ def find_objects(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hin
     billboards = make_billboards(clip, background)
     middles = {number: np.full((len(frames), 2), np.nan) for number in billboards}
     bounds: dict[int, list[Bound | None]] = {number: [None] * len(frames) for number in billboards}
+    network = MonocularDistances(monocular, background) if monocular is not None and isinstance(background, Background) else None
     for k, i in enumerate(track(frames, "Contact with the ground")):
         mask, ground = scene.mask(i), grounds[int(pieces[k])]
+        seen_here = []
         static = _sure_depth(background, k)
         for number in billboards:
             inside = mask == number
             if inside.sum() < MIN_PIXELS:
                 continue
             middles[number][k] = middle_of(inside)
+            seen_here.append(number)
             if ground is not None:
                 bounds[number][k] = compute_ground_bound(inside, cameras[k], ground, static)
+        if network is not None:
+            network.look(k, mask, seen_here, cameras[k], normal)
     tracks = scene.tracks
     on_objects = tracks_of_objects(tracks.points, tracks.visible, scene.mask, frames)
     grays = np.stack([gray(scene.frame(i)) for i in track(frames, "Images of objects")])
@@ -106,7 +126,18 @@ def find_objects(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hin
 
         shown = ObjectImages(grays, np.stack([scene.mask(i) == number for i in frames]), middles[number], cameras, normal)
         obj = solve_object(
-            number, positions, inside, middles[number], bounds[number], cameras, grounds[home], log_billboards, normal, front, shown
+            number,
+            positions,
+            inside,
+            middles[number],
+            bounds[number],
+            cameras,
+            grounds[home],
+            log_billboards,
+            normal,
+            front,
+            shown,
+            network,
         )
         objects.append(obj)
     found = SceneObjects(objects, normal, any_ground is not None)
