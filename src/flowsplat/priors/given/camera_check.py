@@ -19,6 +19,7 @@ from flowsplat.common.spread import spread
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import OPENGL
 from flowsplat.geometry.interpolation import sample_map
+from flowsplat.geometry.lens import Lens
 from flowsplat.priors.cameras.still import stands_still
 from flowsplat.priors.flow import dis_flow, read_gray
 from flowsplat.priors.tracks import corner_strength, new_points, refine_points
@@ -56,13 +57,20 @@ class Matches:
     size: tuple[int, int]
 
 
-def fit_to_images(cameras: Sequence[Camera], scene: Scene) -> tuple[list[Camera], str]:
+def fit_to_images(cameras: Sequence[Camera], scene: Scene, lens: Lens | None = None) -> tuple[list[Camera], str]:
     """Return the cameras as the images say they are meant, and a sentence about it; empty where the images do not tell.
+
+    Args:
+        cameras: one a frame; those of straightened images, where there is a lens.
+        lens: that will be taken out of the images.
 
     Raises:
         InputError: no reading of these numbers fits the images.
     """
     matches = match_frames(scene)
+    if lens is not None:
+        matches = [_straighten(each, lens) for each in matches]
+        matches = [each for each in matches if len(each.before) >= MIN_MATCHES]
     if not matches:
         _require_centers_inside(cameras)
         return list(cameras), ""
@@ -71,7 +79,7 @@ def fit_to_images(cameras: Sequence[Camera], scene: Scene) -> tuple[list[Camera]
     misfit = compute_misfit(cameras, matches)
     if misfit <= SUSPECT_MISFIT * longest:
         return list(cameras), _sentence(misfit * to_frame)
-    readings = _read_otherwise(cameras)
+    readings = _read_otherwise(cameras, with_sizes=lens is None)
     misfits = {how: compute_misfit(each, matches) for how, each in readings.items()}
     best = min(misfits, key=misfits.__getitem__)
     if misfits[best] <= min(BETTER_SHARE * misfit, MAX_MISFIT * longest):
@@ -84,6 +92,14 @@ def fit_to_images(cameras: Sequence[Camera], scene: Scene) -> tuple[list[Camera]
             "Give the cameras of these very frames, or leave them out: they are estimated then."
         )
     return list(cameras), _sentence(misfit * to_frame)
+
+
+def _straighten(matches: Matches, lens: Lens) -> Matches:
+    """Return what lies in both straightened images."""
+    unit = np.array([lens.width, lens.height]) / matches.size
+    before, after = (lens.straighten_positions(points * unit) / unit for points in (matches.before, matches.after))
+    inside = ((before >= 0) & (before <= matches.size) & (after >= 0) & (after <= matches.size)).all(1)
+    return replace(matches, before=before[inside], after=after[inside])
 
 
 def _require_centers_inside(cameras: Sequence[Camera]) -> None:
@@ -154,8 +170,12 @@ def _distances(first: Camera, second: Camera, matches: Matches) -> np.ndarray:
     return np.abs((after * lines).sum(1)) / np.sqrt(np.maximum(slope, 1e-18))
 
 
-def _read_otherwise(cameras: Sequence[Camera]) -> dict[str, list[Camera]]:
-    """Return the cameras that the same numbers mean when they are read in other ways, by what they are called in a sentence."""
+def _read_otherwise(cameras: Sequence[Camera], with_sizes: bool) -> dict[str, list[Camera]]:
+    """Return the cameras that the same numbers mean when they are read in other ways, by what they are called in a sentence.
+
+    Args:
+        with_sizes: also as those of images of another size. A lens would be another one there.
+    """
 
     def posed(change: Callable[[np.ndarray], np.ndarray]) -> list[Camera]:
         return [replace(camera, viewmat=change(camera.viewmat)) for camera in cameras]
@@ -167,7 +187,7 @@ def _read_otherwise(cameras: Sequence[Camera]) -> dict[str, list[Camera]]:
     }
     # Principal points tell how large the images were.
     scale = 2 * float(np.median([camera.K[0, 2] / camera.width for camera in cameras]))
-    if scale > 0 and abs(scale - 1) > MAX_CENTERED:
+    if with_sizes and scale > 0 and abs(scale - 1) > MAX_CENTERED:
         smaller = np.diag([1 / scale, 1 / scale, 1])
         found["of images of another size"] = [replace(camera, K=smaller @ camera.K) for camera in cameras]
     return found
