@@ -63,8 +63,8 @@ class Distortion:
 def compute_shift(K: np.ndarray, distortion: Distortion, width: float, height: float) -> float:
     """Return the pixels by which a lens moves a point of the border of an image of this size, at most."""
     focals, middle = K[[0, 1], [0, 1]], K[:2, 2]
-    x = (_border(width, height) - middle) / focals
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):  # whoever reads lenses looks whether they are finite
+        x = (_border(width, height) - middle) / focals
         return float(np.linalg.norm((distortion.bend(x) - x) * focals, axis=1).max())
 
 
@@ -103,8 +103,8 @@ class Lens:
 
     def _fills_image(self, zoom: float) -> bool:
         """Return whether all that a pinhole with this focal length sees is in the bent image, each point in a place of its own."""
-        x = (_border(self.width, self.height) - self._middle) / (self._focals * zoom)
         with np.errstate(all="ignore"):
+            x = (_border(self.width, self.height) - self._middle) / (self._focals * zoom)
             shown = self.distortion.bend(x) * self._focals + self._middle
             # Where a strong barrel would fold back, a point of the image has no place of its own.
             along = np.linspace(0.125, 1, 8)[:, None, None] * x
@@ -138,14 +138,11 @@ class Lens:
     def compute_difference(self, K: np.ndarray, distortion: Distortion) -> float:
         """Return the pixels between where this lens and another one, with the same zoom, show the border of the straightened image,
         at most."""
-        other = replace(self, K=K, distortion=distortion)
-        border = _border(self.width, self.height)
+        lenses, border = (self, replace(self, K=K, distortion=distortion)), _border(self.width, self.height)
         with np.errstate(all="ignore"):
-            shown = [
-                lens.distortion.bend((border - lens._middle) / (lens._focals * lens.zoom)) * lens._focals + lens._middle
-                for lens in (self, other)
-            ]
-        return float(np.linalg.norm(shown[0] - shown[1], axis=1).max())
+            rays = ((border - lens._middle) / (lens._focals * lens.zoom) for lens in lenses)
+            one, two = (lens.distortion.bend(x) * lens._focals + lens._middle for lens, x in zip(lenses, rays, strict=True))
+            return float(np.linalg.norm(one - two, axis=1).max())
 
     def straighten_camera(self, camera: Camera) -> Camera:
         """Return the pinhole that sees the straightened image of a camera with this lens."""

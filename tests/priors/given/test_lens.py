@@ -412,6 +412,15 @@ def test_what_cannot_be_straightened_is_refused_in_one_line(tmp_path: Path, came
     refuse(scene, file, "clip is rendered by pinholes: give cameras without a lens")
 
 
+def test_images_that_were_straightened_by_others_are_not_bent(tmp_path: Path, cameras, images):
+    straight = [zoom_to(image, cameras[0].K, replace(cameras[0], K=K_of(SIZE))) for image in images]
+    strong = Distortion((-0.4, 0.1, 0, 0))
+    scene = make_scene(tmp_path / "scene", straight)
+    refuse(scene, transforms(tmp_path / "transforms.json", cameras, strong), "images are straight already: .* Give the cameras of")
+    use_given(scene, GivenPriors(cameras=transforms(tmp_path / "none.json", cameras, Distortion())))
+    assert scene.lens is None
+
+
 def test_images_are_straightened_for_one_lens_alone(straightened: Scene, tmp_path: Path, cameras):
     other = transforms(tmp_path / "other.json", cameras, replace(OPENCV, coefficients=(-0.1, 0.03, 0.002, -0.001)))
     refuse(straightened, other, "were straightened for another lens than that of .*other.json. Start from the clip")

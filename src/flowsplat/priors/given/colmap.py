@@ -108,8 +108,8 @@ _Lenses = dict[int, tuple[str, int, int, tuple[float, ...]]]
 def _check_parameters(name: str, parameters: tuple[float, ...]) -> str:
     if name not in _MODELS:
         raise InputError(
-            f"COLMAP's camera model {name} is no pinhole: undistort the images first (colmap image_undistorter), and give the model "
-            "of the undistorted ones. The lenses of OpenCV's models, from SIMPLE_RADIAL to OPENCV_FISHEYE, are undone here."
+            f"COLMAP's camera model {name} is no pinhole: undistort the images first (colmap image_undistorter), and give the "
+            f"model of the undistorted ones. Undone here are only {', '.join(list(_MODELS)[2:])}."
         )
     if len(parameters) != _MODELS[name][1]:
         raise ValueError(f"{name} has {len(parameters)} parameters instead of {_MODELS[name][1]}")
