@@ -154,7 +154,7 @@ def test_frames_and_masks_are_straightened_for_the_cameras(tmp_path: Path, camer
     use_given(scene, GivenPriors(cameras=give(tmp_path, cameras)))
     verdict = scene.prior("cameras")["verdict"]
     assert "miss the images by 0.0" in verdict
-    assert "The lens moved points of the border by up to" in verdict
+    assert "the lens moved points of the border by up to" in verdict
     assert "frames and given masks were straightened" in verdict
     assert "were straightened" in scene.info.notes[-1]
     assert compute_misfit(scene.cameras, match_frames(scene)) < 0.15

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.progress import report
 from flowsplat.priors.cameras import CameraOptions, camera_stage
 from flowsplat.priors.cameras.stage import OWN, WITHOUT_LENS, straightens
 from flowsplat.priors.cameras.straightening import describe_lens, require_lens_in_images, resume_straightening
@@ -60,7 +61,7 @@ def _read_given(request: PriorRequest, path: Path) -> None:
         require_lens_in_images(scene, f"give cameras without a lens instead of {path}")
     cameras, told = fit_to_images(given.cameras, scene, None if is_straight else lens)
     scene.write_cameras(cameras)
-    about = "" if lens is None else describe_lens(lens).rstrip(".")
+    about = "" if lens is None else describe_lens(lens).rstrip(".").replace("The", "the", 1)
     prior = {"method": GIVEN, "verdict": "; ".join(filter(None, (verdict_of(path, given.maker), given.told, told, about)))}
     request.memory[MAKER] = given.maker
     if lens is None or is_straight:
@@ -68,6 +69,7 @@ def _read_given(request: PriorRequest, path: Path) -> None:
     else:
         scene.begin_straightening(lens.to_json(), prior)
         resume_straightening(scene)
+        report(scene.info.notes[-1])
 
 
 CAMERAS = Kind(
