@@ -31,7 +31,7 @@ from tests.priors.test_nasty_clips import ROOM, World, travel
 
 FRAMES, SIZE, CALIBRATED = 12, (256, 160), (1024, 640)
 """The clip, and the size of the images that others saw, four times as large."""
-OPENCV = Distortion((-0.14, 0.03, 0.002, -0.001))
+OPENCV = Distortion((-0.3, 0.08, 0.004, -0.003))
 FISHEYE = Distortion((0.02, -0.01, 0.002, 0.0), is_fisheye=True)
 
 
@@ -78,9 +78,9 @@ def bent(cameras: list[Camera], images: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def mask_of(i: int) -> np.ndarray:
-    mask = np.zeros(SIZE[::-1], np.uint8)
-    cv2.circle(mask, (90 + 4 * i, 80), 25, 3, -1)
-    return mask
+    """Stripes, whose edges are everywhere."""
+    x, y = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    return np.where((x + y + 3 * i) % 24 < 8, 3, 0).astype(np.uint8)
 
 
 def make_scene(folder: Path, frames: Sequence[np.ndarray], masks: Sequence[np.ndarray] = ()) -> Scene:
@@ -166,7 +166,7 @@ def test_frames_and_masks_are_straightened_for_the_cameras(tmp_path: Path, camer
         off = np.abs(scene.any_frame(i).astype(float) - expected).mean()
         assert off < 0.8
         assert off < 0.1 * np.abs(difference.astype(float) - expected).mean()
-        assert (mask_in(scene, i) != zoom_to(mask_of(i), true.K, camera)).mean() < 0.006
+        assert (mask_in(scene, i) != zoom_to(mask_of(i), true.K, camera)).mean() < 0.04
         assert set(np.unique(mask_in(scene, i))) == {0, 3}
 
 
@@ -274,7 +274,7 @@ def test_the_same_files_again_straighten_nothing_twice(tmp_path: Path, cameras, 
     use_given(once, given)
     for i in range(FRAMES):
         expected = zoom_to((mask_of(i) > 0).astype(np.uint8), cameras[i].K, once.cameras[i])
-        assert ((mask_in(once, i) > 0) != expected).mean() < 0.006
+        assert ((mask_in(once, i) > 0) != expected).mean() < 0.04
     use_given(again, given)
     use_given(Scene(again.folder), given)
     require_same(Scene(again.folder), once)
