@@ -188,12 +188,14 @@ def _given(folder: Path) -> None:
     others, maps, tracks = cameras_of_others, maps_of_others, tracks_of_others
     folders = (
         "cameras depth depth_png disparity_disp mosca_depth masks flow flo kitti mosca_flow megasam millimeters vggt "
-        "depth_anything_3 sav"
+        "depth_anything_3 sav lens"
     )
     for name in folders.split():
         (folder / name).mkdir(parents=True)
     (folder / "cameras" / "transforms.json").write_text(json.dumps(others.transforms()))
+    (folder / "lens" / "transforms.json").write_text(json.dumps(others.transforms(k1=-0.1, k2=0.02, p1=0.001, p2=-0.001)))
     others.colmap_text(folder / "text")
+    others.colmap_text(folder / "fisheye", "OPENCV_FISHEYE", (1700.0, 1710.0, 960.0, 540.0, 0.02, -0.01, 0.002, 0.001))
     others.colmap_binary(folder / "binary")
     write_json(folder / "own" / "own.json", [camera.to_json() for camera in others.path()])
     others.megasam(folder / "megasam" / "a.npz")
@@ -404,6 +406,7 @@ READERS = (
         Reader(f"given {name}, {Path(place).name}", f"given/{place}", ("*",), _given_of(name, file))
         for name, place, file in (
             ("cameras", "own", "own.json"), ("cameras", "cameras", ""), ("cameras", "text", ""), ("cameras", "binary", ""),
+            ("cameras", "lens", ""), ("cameras", "fisheye", ""),
             ("cameras", "megasam", "a.npz"), ("depth", "depth", ""), ("depth", "depth_png", ""),
             ("depth", "disparity_disp", ""), ("depth", "mosca_depth", ""),
             ("depth", "megasam", "a.npz"), ("masks", "masks", ""), ("flow", "flow", ""), ("flow", "flo", ""), ("flow", "kitti", ""),

@@ -29,6 +29,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, write_json
 from flowsplat.geometry import Camera
 from flowsplat.images.video import MAX_FPS, MIN_FPS
+from flowsplat.scenes.formats.lens import require_pinhole
 from flowsplat.scenes.formats.nerfstudio import from_opengl, image_size, positive, transforms_camera
 
 MAX_SIDE = 8192
@@ -135,7 +136,8 @@ def _from_camera_path(content: Entry, entry: Entry, size: tuple[int, int]) -> tu
 
 
 def _from_transforms(content: Entry, entry: Entry, size: tuple[int, int]) -> tuple[Camera, float | None]:
-    camera = transforms_camera("it", {**content, **entry}, size)
+    camera, distortion = transforms_camera("it", {**content, **entry}, size)
+    require_pinhole("it", camera, distortion)
     time = entry.get("time")
     return camera, None if time is None else float(time)
 

@@ -13,6 +13,7 @@ from collections.abc import Collection, Iterator, Mapping
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import hash_files
+from flowsplat.priors.cameras.straightening import resume_straightening
 from flowsplat.priors.given import true_layers
 from flowsplat.priors.kinds.cameras import CAMERAS
 from flowsplat.priors.kinds.depth import DEPTH
@@ -197,6 +198,8 @@ class Graph:
             InputError: a file is missing, cannot be read, is of no known layout, has another shape than the frames, or holds
                 impossible values.
         """
+        # What is read from here on lies in images of which it is known whether they are straightened.
+        resume_straightening(request.scene)
         later: dict[str, Stage] = {}
         for name, path in request.options.given.named.items():
             read = self[name].kind.read_given

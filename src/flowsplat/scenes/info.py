@@ -44,7 +44,7 @@ class SceneInfo:
     """World to the normalized coordinates of training; None until it is asked for, or after the depth changed."""
     ingested: bool = False
     """Whether everything of the input is in the folder."""
-    lens: Mapping[str, Number] | None = None
+    lens: Mapping[str, Any] | None = None
     """The lens that was, or is being, taken out of the images."""
     straightening: Mapping[str, Any] | None = None
     """What is known of the cameras while the images are being straightened."""

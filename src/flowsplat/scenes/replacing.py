@@ -20,7 +20,7 @@ NEW_IMAGES = "replaced"
 
 
 def replace_images(scene: Scene, change: Callable[[np.ndarray], np.ndarray]) -> None:
-    """Replace all frames and masks, held-out ones included. For the camera stage only.
+    """Replace all frames and masks, held-out ones included. For what makes cameras only.
 
     The new images are written aside first; once the scene says that they are complete, they are moved. Called again after
     a kill, with the same ``change``, it goes on. The caller notes the end (``Scene.finish_straightening``), together with what

@@ -28,6 +28,7 @@ from flowsplat.common.files import check_json, make_folder, plain_name, read_jso
 from flowsplat.common.files.json_file import Count, Text, Versioned
 from flowsplat.common.progress import report_once
 from flowsplat.geometry import Camera, Similarity
+from flowsplat.geometry.lens import Lens
 from flowsplat.images.html import format_facts
 from flowsplat.scenes.info import SceneInfo
 from flowsplat.scenes.layers import CameraFile, Depth, Flow, Layers, StoredFlow, Tracks, read_image, write_image
@@ -206,7 +207,7 @@ class Scene(Layers):
         """
         self._change(name=name, oracle=identity)
 
-    def begin_straightening(self, lens: Mapping[str, float], cameras: Mapping[str, Any]) -> None:
+    def begin_straightening(self, lens: Mapping[str, Any], cameras: Mapping[str, Any]) -> None:
         """Note that a lens is being taken out of the images.
 
         Args:
@@ -240,6 +241,23 @@ class Scene(Layers):
             report_once(f"The sound of {self.name} does not lie in {self.folder} and is left out: prepare it again to have it.")
             return None
         return self.folder / plain_name(audio, "The sound"), start
+
+    @property
+    def lens(self) -> Lens | None:
+        """The lens that was, or is being, taken out of the images; None while they are as they came.
+
+        Raises:
+            InputError: what is noted of it is damaged.
+        """
+        if self._info.lens is None:
+            return None
+        try:
+            lens = Lens.from_json(self._info.lens)
+            if (lens.width, lens.height) != (self.width, self.height):
+                raise ValueError("it is of other images")
+        except (KeyError, TypeError, ValueError, ArithmeticError) as error:
+            raise InputError(f"{self.folder / 'scene.json'} does not hold the lens of its images: {error}.") from error
+        return lens
 
     # -- time and split
 

@@ -238,7 +238,7 @@ def test_all_parameters_come_back_from_both_containers(tmp_path, run):
 
 def test_cameras_come_back_from_colmap_and_nerfstudio(tmp_path, run):
     model, scene = small_model(), Scene(run / "scene")
-    colmap = read_colmap(export_scene(model, scene, "colmap", tmp_path / "colmap", DEFAULT), scene)
+    colmap, *_ = read_colmap(export_scene(model, scene, "colmap", tmp_path / "colmap", DEFAULT), scene)
     folder = export_scene(model, scene, "nerfstudio", tmp_path / "nerfstudio", DEFAULT)
     shots = read_camera_file(folder / "transforms.json", (WIDTH, HEIGHT), (FIRST, LAST)).shots
     assert [t for _, t in shots] == pytest.approx(small_times())

@@ -12,7 +12,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.geometry.similarity import path_errors
-from flowsplat.priors.cameras import CameraOptions, camera_stage, stage
+from flowsplat.priors.cameras import CameraOptions, camera_stage, straightening
 from flowsplat.priors.cameras.bundle import rays
 from flowsplat.priors.given import GivenPriors
 from flowsplat.priors.options import PriorsOptions
@@ -137,9 +137,8 @@ def test_a_bent_clip_is_straightened(tmp_path, through_a_lens):
     assert errors["rotation"] < 0.3
     # What the pinhole at that place would have seen, but for the wider or narrower view: how a lens bends an image is known better
     # than its focal length, which is compared apart.
-    lens = scene.info.lens
-    assert lens["focal"] == pytest.approx(cameras[0].K[0, 0], rel=0.02)
-    zoom = lens["pinhole"] / lens["focal"]
+    assert scene.lens.K[0, 0] == pytest.approx(cameras[0].K[0, 0], rel=0.02)
+    zoom = scene.lens.zoom
     grid = ((pixel_grid(320, 200) - [160, 100]) / zoom + [160, 100] - 0.5).astype(np.float32)
     for i in (0, 4, 9):
         true = cv2.remap(World(ROOM, width=320).image(cameras[i]), grid, None, cv2.INTER_CUBIC)
@@ -158,7 +157,7 @@ def test_straightening_goes_on_after_a_kill_and_is_not_done_twice(tmp_path, thro
     def dying(scene, change):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(stage, "replace_images", dying)
+    monkeypatch.setattr(straightening, "replace_images", dying)
     with pytest.raises(KeyboardInterrupt):
         camera_stage(scene, CameraOptions(distortion="radial"))
     monkeypatch.undo()

@@ -200,8 +200,9 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "nothing": (lambda f: f / "none.json", "does not exist"),
     "a folder of nothing": (lambda f: f, "transforms.json, a COLMAP model .*MegaSaM"),
     "text": (lambda f: write(f / "cameras.txt", "1"), "no cameras of a known layout"),
-    "a wide lens": (lambda f: write(f / "transforms.json", edited(transforms(k1=-0.1))), r"bends .* pixels: .*\(cv2.undist"),
-    "a fisheye": (lambda f: write(f / "transforms.json", edited(transforms(camera_model="OPENCV_FISHEYE"))), "fisheye: undistort"),
+    "no lens": (lambda f: write(f / "transforms.json", edited(transforms(k1=-1e6))), "a lens that cannot be: no pinhole"),
+    "another fisheye": (lambda f: write(f / "transforms.json", edited(transforms(camera_model="FISHEYE624"))), "FISHEYE624: und"),
+    "a panorama": (lambda f: write(f / "transforms.json", edited(transforms(camera_model="EQUIRECTANGULAR"))), "not known here, E"),
     "too few": (
         lambda f: write(f / "transforms.json", edited(transforms(), frames=transforms()["frames"][:3])), "holds 3 frames.*5 frames"
     ),
@@ -215,13 +216,19 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
             {"file_path": "a", "transform_matrix": (2 * np.eye(4)).tolist()}] * 5)), "frame 0 is not finite or"
     ),
     "another shape": (lambda f: write(f / "transforms.json", edited(transforms(), w=1000, h=1000)), "another shape"),
-    "COLMAP's fisheye": (
-        lambda f: colmap(f / "m", "OPENCV_FISHEYE", (1.0, 1, 1, 1, 0, 0, 0, 0)), "OPENCV_FISHEYE is no pinhole: undistort"
+    "COLMAP's FOV": (lambda f: colmap(f / "m", "FOV", (1.0, 1, 1, 1, 0.5)), "FOV is no pinhole: undistort"),
+    "COLMAP's thin prism": (
+        lambda f: colmap(f / "m", "THIN_PRISM_FISHEYE", (1.0,) * 12), "THIN_PRISM_FISHEYE is no pinhole: undistort"
     ),
-    "COLMAP's barrel": (lambda f: colmap(f / "m", "SIMPLE_RADIAL", (1700.0, 960.0, 540.0, -0.2)), "bends .*image_undistorter"),
+    "COLMAP's fisheye without a middle": (
+        lambda f: colmap(f / "m", "OPENCV_FISHEYE", (1.0, 1, -9, 1, 0, 0, 0, 0)), "a lens that cannot be: no pinhole"
+    ),
+    "COLMAP's lens of no number": (
+        lambda f: colmap(f / "m", "SIMPLE_RADIAL", (1700.0, 960.0, 540.0, float("nan"))), "a lens that cannot be: no pinhole"
+    ),
     "COLMAP, short": (lambda f: colmap(f / "m", "PINHOLE", (1.0, 2.0)), "no readable COLMAP model"),
     "COLMAP, truncated": (lambda f: cut(f / "m"), "no readable COLMAP model"),
-    "COLMAP's binary fisheye": (lambda f: binary(f / "m", 5), "number 5 is no pinhole"),
+    "COLMAP's binary thin prism": (lambda f: binary(f / "m", 10), "number 10 is no pinhole"),
     "MegaSaM of other frames": (lambda f: sam(f / "a.npz", frames=4), "holds 4 cameras"),
     "MegaSaM of another clip": (lambda f: sam(f / "a.npz", depths=np.ones((5, 384, 512), np.float32)), "another shape"),
     "MegaSaM without cameras": (lambda f: archive(f / "a.npz"), "no cameras of a known layout"),

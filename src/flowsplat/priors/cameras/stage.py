@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -12,24 +11,26 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import rigid
+from flowsplat.geometry.lens import Lens
 from flowsplat.priors.cameras.checks import Gaps, verdict
 from flowsplat.priors.cameras.estimate import CameraEstimate
 from flowsplat.priors.cameras.following import WORKING_SIDE, follow_points
-from flowsplat.priors.cameras.lens import Lens, find_lens
+from flowsplat.priors.cameras.lens import find_lens
 from flowsplat.priors.cameras.pieces import find_breaks, join, split
 from flowsplat.priors.cameras.solvers import Solved, solve
 from flowsplat.priors.cameras.still import stands_still
+from flowsplat.priors.cameras.straightening import describe_lens, require_lens_in_images, resume_straightening
 from flowsplat.scenes import Scene
-from flowsplat.scenes.replacing import replace_images
 
 LENS_ROUNDS = 2
 """How often the lens is estimated, each time with the cameras that the one before allowed. Chosen by eye."""
 MAX_LENS_CHANGE = 0.1
 """Pixels of the border by which a lens may change and count as found. Chosen by eye."""
+WITHOUT_LENS = "leave out --cameras.distortion radial"
+"""What an error advises where a lens cannot be taken out."""
+NO_LENS = "No distortion of the lens shows: the images stay as they are."
 OWN = "tracks"
 """Method of cameras that this stage computed."""
-_FOLLOWS_IMAGES = ("cameras", "masks", "objects")
-"""Priors that may be there when images are straightened: cameras are found anew, masks straightened, objects go with depth."""
 MAX_FOCAL = 100
 """Focal length at most, in longer sides of the image: an angle of view of half a degree. Chosen by eye."""
 
@@ -70,11 +71,11 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
     if options.focal is not None and not 1 <= options.focal <= longest:
         raise InputError(f"The focal length is {options.focal}: give pixels from 1 to {longest:,}, or leave it out.")
     if scene.info.straightening is not None:
-        _straighten(scene)
+        resume_straightening(scene)
         return
     radial = straightens(scene, options)
     if radial:
-        require_lens_in_images(scene)
+        require_lens_in_images(scene, WITHOUT_LENS)
     tracks = _follow(scene)
     known = None if options.focal is None else options.focal / tracks.unit
     lens, solved = None, tracks.solve(options.solver, known)
@@ -82,12 +83,13 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
         lens, solved = _find_lens(tracks, solved, options.solver, known)
     parts = [_cameras(each.found, tracks.unit, scene.width, scene.height) for each in solved]
     scene.write_cameras(join(tracks.pieces, parts, scene.num_frames))
-    prior = _description(scene, options, tracks, solved, lens, _about_lens(lens, tracks.unit) if radial else "")
+    about = (describe_lens(lens.scale(tracks.unit)) if lens else NO_LENS) if radial else ""
+    prior = _description(scene, options, tracks, solved, lens, about)
     if lens is None:
         scene.finish_prior("cameras", **prior)
         return
     scene.begin_straightening(lens.scale(tracks.unit).to_json(), prior)
-    _straighten(scene)
+    resume_straightening(scene)
 
 
 def straightens(scene: Scene, options: CameraOptions) -> bool:
@@ -130,7 +132,7 @@ class _Tracks:
         """Return the cameras of every piece, once the lens is taken out."""
         if lens is not None:
             straight = replace(self, positions=lens.straighten_positions(self.positions))
-            return straight.solve(solver, None if focal is None else lens.pinhole)
+            return straight.solve(solver, None if focal is None else focal * lens.zoom)
         return [
             solve(self.of_piece(k), self.width, self.height, focal, solver, frames, still)
             for k, (frames, still) in enumerate(zip(self.pieces, self.still, strict=True))
@@ -177,7 +179,7 @@ def _description(
         "focal": round(fit.state.focal * unit, 3),
         "focal_given": given,
         "focal_sigma": round(fit.focal_sigma, 5) if np.isfinite(fit.focal_sigma) else None,
-        "distortion": round(lens.distortion, 6) if lens else 0.0,
+        "distortion": round(lens.distortion.coefficients[0], 6) if lens else 0.0,
         "parallax_degrees": round(float(np.degrees(main.found.parallax)), 3),
         "reprojection_px": round(float(np.median(errors)), 4),
         "reprojection_p90_px": round(float(np.quantile(errors, 0.9)), 4),
@@ -200,42 +202,6 @@ def _find_lens(tracks: _Tracks, solved: list[Solved], solver: str, focal: float 
             break
         lens, solved = new, tracks.solve(solver, focal, new)
     return lens, solved
-
-
-def _about_lens(lens: Lens | None, unit: float) -> str:
-    if lens is None:
-        return "No distortion of the lens shows: the images stay as they are."
-    return (
-        f"The lens moved points of the border by up to {lens.shift * unit:.1f} pixels (k1 = {lens.distortion:.3f}): "
-        "frames and given masks were straightened."
-    )
-
-
-def require_lens_in_images(scene: Scene, unwanted: Collection[str] = ()) -> None:
-    """Refuse to straighten images that something else was made for.
-
-    Args:
-        unwanted: priors that are about to be forgotten.
-
-    Raises:
-        InputError: names what was made for the images.
-    """
-    if scene.truth is not None or scene.views:
-        raise InputError(f"{scene.name} is rendered by pinholes: leave out --cameras.distortion radial.")
-    made = [name for name in scene.info.priors if name not in _FOLLOWS_IMAGES and name not in unwanted]
-    if made:
-        raise InputError(
-            f"{' and '.join(made).capitalize()} of {scene.name} were made for the images as they came: "
-            "leave out --cameras.distortion radial, or let them be computed."
-        )
-
-
-def _straighten(scene: Scene) -> None:
-    """Replace frames and masks by those that a pinhole sees, and note that the cameras are finished."""
-    assert scene.info.lens is not None
-    lens = Lens(**scene.info.lens)
-    replace_images(scene, lens.straighten)
-    scene.finish_straightening(_about_lens(lens, 1.0))
 
 
 def _off_objects(scene: Scene, positions: np.ndarray) -> np.ndarray:

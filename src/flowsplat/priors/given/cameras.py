@@ -8,9 +8,11 @@ from pathlib import Path
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, read_npz
 from flowsplat.geometry import Camera
+from flowsplat.geometry.lens import Distortion, Lens
 from flowsplat.priors.given import droid, feedforward, megasam, vipe
 from flowsplat.priors.given.colmap import find_model, read_colmap
 from flowsplat.priors.given.fitting import compute_max_bytes, require_frames, require_shape
+from flowsplat.priors.given.lens import find_lens
 from flowsplat.priors.given.nerfstudio import is_nerfstudio, read_nerfstudio
 from flowsplat.scenes import Scene
 
@@ -23,53 +25,65 @@ KNOWN = (
 
 @dataclass(frozen=True)
 class GivenCameras:
-    """One camera a frame at the size of the frames, whose layout it was, and what is to be said about them, in sentences."""
+    """What a file holds.
+
+    Attributes:
+        cameras: one a frame, at its size; pinholes that see the straightened images, where there is a lens.
+        maker: whose layout it was.
+        told: what is to be said about them, in sentences.
+        lens: of the frames; None where pinholes took them.
+    """
 
     cameras: list[Camera]
     maker: str
     told: str = ""
+    lens: Lens | None = None
 
 
 def read_cameras(path: Path, scene: Scene, allow_pickle: bool) -> GivenCameras:
     """Read cameras of any known layout.
 
     Raises:
-        InputError: missing, damaged, of no known layout, not one camera a frame, or of another shape.
+        InputError: missing, damaged, of no known layout, not one camera a frame, of another shape, or with
+            several lenses.
     """
-    given = _read(Path(path), scene, allow_pickle)
+    given, distortions = _read(Path(path), scene, allow_pickle)
     for index, camera in enumerate(given.cameras):
         if not camera.is_valid:
             raise InputError(f"{path}: the camera of frame {index} is not finite or its viewmat is not a rotation.")
         require_shape(path, camera.width, camera.height, scene)
-    return replace(given, cameras=[camera.resize(scene.width, scene.height) for camera in given.cameras])
+    cameras = [camera.resize(scene.width, scene.height) for camera in given.cameras]
+    lens = find_lens(path, cameras, distortions)
+    return replace(given, cameras=cameras if lens is None else list(map(lens.straighten_camera, cameras)), lens=lens)
 
 
-def _read(path: Path, scene: Scene, allow_pickle: bool) -> GivenCameras:
+def _read(path: Path, scene: Scene, allow_pickle: bool) -> tuple[GivenCameras, dict[int, Distortion]]:
+    """Return what a file holds at the size that it has there, and how the lens bends frames; none of pinholes."""
     if path.is_dir():
         model = find_model(path)
         if (path / "transforms.json").is_file():
             path = path / "transforms.json"
         elif model is not None:
-            cameras, told = read_colmap(model, scene)
-            return GivenCameras(cameras, "COLMAP", told)
+            cameras, told, distortions = read_colmap(model, scene)
+            return GivenCameras(cameras, "COLMAP", told), distortions
         elif vipe.find_file(path, "pose", scene):
             cameras, told = vipe.read_cameras(path, scene)
-            return GivenCameras(cameras, vipe.MAKER, told)
+            return GivenCameras(cameras, vipe.MAKER, told), {}
     suffix = path.suffix.lower()
     if suffix == ".json":
         content = read_json(path)
         if is_nerfstudio(content):
-            cameras, told = read_nerfstudio(path, content, scene)
-            return GivenCameras(cameras, "nerfstudio", told)
-        return GivenCameras(_read_own(path, content, scene), "flowsplat")
+            cameras, told, distortions = read_nerfstudio(path, content, scene)
+            return GivenCameras(cameras, "nerfstudio", told), distortions
+        return GivenCameras(_read_own(path, content, scene), "flowsplat"), {}
     if suffix == ".npz":
         arrays = read_npz(path, {*megasam.ARRAYS, *feedforward.ARRAYS}, most=compute_max_bytes(scene))
         if megasam.is_megasam(arrays):
-            return GivenCameras(megasam.read_cameras(path, arrays, scene), megasam.MAKER)
+            return GivenCameras(megasam.read_cameras(path, arrays, scene), megasam.MAKER), {}
         if maker := feedforward.find_maker(arrays, with_cameras=True):
-            return GivenCameras(feedforward.read_cameras(path, arrays, maker, scene), maker)
+            return GivenCameras(feedforward.read_cameras(path, arrays, maker, scene), maker), {}
     if suffix == ".npy":
-        return GivenCameras(droid.read_droid(path, scene, allow_pickle), droid.MAKER)
+        return GivenCameras(droid.read_droid(path, scene, allow_pickle), droid.MAKER), {}
     if not path.exists():
         raise InputError(f"{path} does not exist.")
     raise InputError(f"{path} holds no cameras of a known layout. Looked for: {KNOWN}.")

@@ -13,11 +13,11 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_bytes, read_text
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import rigid
+from flowsplat.geometry.lens import Distortion
 from flowsplat.geometry.rotations import quats_to_rotations
 from flowsplat.priors.given.gaps import fill_gaps, find_frames
 from flowsplat.scenes import Scene
 from flowsplat.scenes.formats.images import natural_key
-from flowsplat.scenes.formats.lens import require_pinhole
 
 _MAX_IMAGES_BYTES = 256 * 2**20
 """Bytes: the points of all images stand beside them. Chosen by eye."""
@@ -31,9 +31,12 @@ _MODELS = {
     "SIMPLE_RADIAL": (2, 4, 1),
     "RADIAL": (3, 5, 1),
     "OPENCV": (4, 8, 2),
+    "OPENCV_FISHEYE": (5, 8, 2),
     "FULL_OPENCV": (6, 12, 2),
+    "SIMPLE_RADIAL_FISHEYE": (8, 4, 1),
+    "RADIAL_FISHEYE": (9, 5, 1),
 }
-"""The models whose distortion OpenCV has too, in its order. The others are fisheyes."""
+"""The models whose distortion OpenCV has too, in its order (https://colmap.github.io/cameras.html)."""
 
 _NAMES = {number: name for name, (number, _, _) in _MODELS.items()}
 
@@ -57,13 +60,14 @@ def find_model(folder: Path) -> Path | None:
     return None
 
 
-def read_colmap(model: Path, scene: Scene) -> tuple[list[Camera], str]:
-    """Return one camera a frame, at the size of COLMAP's images, and what is to be said about them.
+def read_colmap(model: Path, scene: Scene) -> tuple[list[Camera], str, dict[int, Distortion]]:
+    """Return one camera a frame, at the size of COLMAP's images, what is to be said about them, and how the lens bends each frame
+    that was registered.
 
     The natural order of the names is that of the frames.
 
     Raises:
-        InputError: damaged, a lens that is no pinhole, or too many frames in a row were not registered.
+        InputError: damaged, a lens that is not known here, or too many frames in a row were not registered.
     """
     suffix = ".bin" if (model / "cameras.bin").is_file() else ".txt"
     path = model / f"images{suffix}"
@@ -78,26 +82,24 @@ def read_colmap(model: Path, scene: Scene) -> tuple[list[Camera], str]:
         raise InputError(f"{model} is no readable COLMAP model (damaged or truncated): {error}.") from error
     images = sorted(images, key=lambda image: natural_key(Path(image.name)))
     frames = find_frames(path, [image.name for image in images], scene, "registered images")
-    cameras = {}
+    cameras, distortions = {}, {}
     for frame, image in zip(frames, images, strict=True):
         if image.camera not in lenses:
             raise InputError(f"{path}: {image.name} has camera {image.camera}, which cameras{suffix} does not hold.")
         name, width, height, parameters = lenses[image.camera]
-        K, distortion = _lens(name, parameters)
-        require_pinhole(model / f"cameras{suffix}", K, width, height, distortion, " (colmap image_undistorter)")
+        K, distortions[frame] = _lens(name, parameters)
         rotation = quats_to_rotations(torch.tensor(image.quat, dtype=torch.float64)).numpy()
         cameras[frame] = Camera(rigid(rotation, image.translation), K, width, height)
-    return fill_gaps(path, cameras, scene)
+    return *fill_gaps(path, cameras, scene), distortions
 
 
-def _lens(name: str, parameters: tuple[float, ...]) -> tuple[np.ndarray, tuple[float, ...]]:
-    """K [3, 3] and the distortion in OpenCV's order."""
+def _lens(name: str, parameters: tuple[float, ...]) -> tuple[np.ndarray, Distortion]:
+    """Return K [3, 3] and the distortion."""
     focals = _MODELS[name][2]
     fx, fy = parameters[0], parameters[focals - 1]
     cx, cy, *distortion = parameters[focals:]
-    if name in ("SIMPLE_RADIAL", "RADIAL"):
-        distortion = [*distortion, 0.0][:2] + [0.0, 0.0]
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), tuple(distortion)
+    distortion += [0.0] * (4 - len(distortion))
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), Distortion(tuple(distortion), name.endswith("FISHEYE"))
 
 
 _Lenses = dict[int, tuple[str, int, int, tuple[float, ...]]]
@@ -106,8 +108,8 @@ _Lenses = dict[int, tuple[str, int, int, tuple[float, ...]]]
 def _check_parameters(name: str, parameters: tuple[float, ...]) -> str:
     if name not in _MODELS:
         raise InputError(
-            f"COLMAP's camera model {name} is no pinhole: undistort the images first (colmap image_undistorter), "
-            "and give the model of the undistorted ones."
+            f"COLMAP's camera model {name} is no pinhole: undistort the images first (colmap image_undistorter), and give the "
+            f"model of the undistorted ones. Undone here are only {', '.join(list(_MODELS)[2:])}."
         )
     if len(parameters) != _MODELS[name][1]:
         raise ValueError(f"{name} has {len(parameters)} parameters instead of {_MODELS[name][1]}")

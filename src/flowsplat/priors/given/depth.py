@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_npy, read_npz
+from flowsplat.geometry.lens import Lens
 from flowsplat.priors.given import droid, feedforward, megasam, vipe
 from flowsplat.priors.given.fitting import compute_max_bytes, files_by_frame, require_shape
 from flowsplat.scenes import Depth, Scene
@@ -83,7 +85,14 @@ def open_depth(path: Path, scene: Scene) -> GivenDepth:
         InputError: missing, damaged, of no known layout, of another shape, or not for every training frame.
     """
     given = _open(Path(path), scene)
+    if (lens := scene.lens) is not None:
+        given = replace(given, values=partial(_straighten, lens, given.values))
     return replace(given, white=max(float(given.values(i)[0].max()) for i in scene.train_frames))
+
+
+def _straighten(lens: Lens, values: Callable[[int], tuple[np.ndarray, np.ndarray]], i: int) -> tuple[np.ndarray, np.ndarray]:
+    depth, confidence = values(i)  # of points, not of rays: the same behind the pinhole, which has the same axis
+    return lens.straighten(depth), lens.straighten(confidence)
 
 
 def _open(path: Path, scene: Scene) -> GivenDepth:

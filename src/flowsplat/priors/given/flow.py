@@ -42,7 +42,15 @@ def read_flow(folder: Path, scene: Scene) -> tuple[list[Flow], str]:
     Raises:
         InputError: missing, damaged, of another shape, or of no known layout.
     """
-    folder, wanted = Path(folder), consecutive_pairs(scene)
+    flows, maker = _read(Path(folder), scene)
+    lens = scene.lens
+    if lens is not None:
+        flows = [Flow(each.i, each.j, *lens.straighten_flow(each.flow, each.confidence)) for each in flows]
+    return flows, maker
+
+
+def _read(folder: Path, scene: Scene) -> tuple[list[Flow], str]:
+    wanted = consecutive_pairs(scene)
     if not folder.is_dir():
         wrong = "is no folder" if folder.exists() else "does not exist"
         raise InputError(

@@ -32,14 +32,15 @@ def use_masks(path: Path, scene: Scene) -> None:
     height, width = read(first).shape
     require_shape(first, width, height, scene)
     training = GivenMasks.scan({str(i): paths[i] for i in scene.train_frames}, (width, height), read=read)
-    size = (scene.width, scene.height)
+    size, lens = (scene.width, scene.height), scene.lens
     masks = {i: training.read(str(i), size) for i in scene.train_frames}
     require_rest(str(path), list(masks.values()))
     for i, mask in masks.items():
-        scene.write_mask(i, mask)
+        scene.write_mask(i, mask if lens is None else lens.straighten(mask))
     for i in scene.heldout_frames:
         if i in paths:
-            scene.heldout_masks.write_mask(i, training.read_moving(paths[i], size))
+            mask = training.read_moving(paths[i], size)
+            scene.heldout_masks.write_mask(i, mask if lens is None else lens.straighten(mask))
 
 
 def _find(path: Path, scene: Scene) -> tuple[dict[int, Path], Callable[[Path], np.ndarray]]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
+from flowsplat.geometry.lens import Distortion
 from flowsplat.priors.given.gaps import fill_gaps, find_frames
 from flowsplat.scenes import Scene
 from flowsplat.scenes.formats.images import natural_key
@@ -20,12 +21,13 @@ def is_nerfstudio(content: Any) -> bool:
     return isinstance(content, dict) and isinstance(content.get("frames"), list)
 
 
-def read_nerfstudio(path: Path, content: dict[str, Any], scene: Scene) -> tuple[list[Camera], str]:
-    """Return one camera a frame, and what is to be said about them; in the order of their times where all have one, else in the
-    natural order of their images.
+def read_nerfstudio(path: Path, content: dict[str, Any], scene: Scene) -> tuple[list[Camera], str, dict[int, Distortion]]:
+    """Return one camera a frame, what is to be said about them, and how the lens bends each frame of the file.
+
+    Frames are in the order of their times where all have one, else in the natural order of their images.
 
     Raises:
-        InputError: a value is missing, a lens is no pinhole, or too many frames in a row have no camera.
+        InputError: a value is missing, a lens is not known here, or too many frames in a row have no camera.
     """
     frames = content["frames"]
     try:
@@ -35,10 +37,11 @@ def read_nerfstudio(path: Path, content: dict[str, Any], scene: Scene) -> tuple[
         else:
             frames = sorted(frames, key=lambda frame: natural_key(Path(frame["file_path"])))
             numbers = find_frames(path, [frame["file_path"] for frame in frames], scene, "frames")
-        cameras = [transforms_camera(path, {**content, **frame}, (scene.width, scene.height)) for frame in frames]
+        found = [transforms_camera(path, {**content, **frame}, (scene.width, scene.height)) for frame in frames]
     except (KeyError, TypeError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise InputError(f"{path} is no transforms.json of nerfstudio: {_reason(error)}.") from error
-    return fill_gaps(path, dict(zip(numbers, cameras, strict=True)), scene)
+    cameras = {i: camera for i, (camera, _) in zip(numbers, found, strict=True)}
+    return *fill_gaps(path, cameras, scene), {i: distortion for i, (_, distortion) in zip(numbers, found, strict=True)}
 
 
 def _reason(error: Exception) -> str:

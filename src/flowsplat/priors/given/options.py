@@ -15,7 +15,8 @@ class GivenPriors:
     cameras: Path | None = None
     """Our JSON list (one camera a frame: viewmat [4, 4] world to camera with OpenCV axes, K [3, 3], width, height), or the
     cameras of nerfstudio (transforms.json), COLMAP (a sparse model), Depth Anything 3, VGGT or MegaSaM (.npz), ViPE (the folder of
-    its results) or DROID-SLAM (droid_recon .npy). Two missing frames in a row are interpolated."""
+    its results) or DROID-SLAM (droid_recon .npy). Two missing frames in a row are interpolated. A lens of nerfstudio or COLMAP that
+    bends images is taken out of the frames and of all that is given for them."""
     depth: Path | None = None
     """A folder of 00000.npy ... [H, W] or gray .png of 8 or 16 bits, one for every training frame: planar depth (in the units of
     the cameras where these are given; whole numbers of millimeters, too) or disparity, which the parallax of the clip tells; or the

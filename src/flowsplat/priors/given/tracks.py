@@ -98,6 +98,9 @@ def read_tracks(path: Path, scene: Scene, size: tuple[int, int] | None) -> Given
             f"{path}: {1 - inside[seen].mean():.0%} of the visible points lie outside the {width}x{height} pixels of the frames: "
             "give the size of the images in which they were tracked with --given.tracks-size WIDTH HEIGHT."
         )
+    if (lens := scene.lens) is not None:
+        pixels = np.nan_to_num(lens.straighten_positions(pixels), nan=-1).astype(np.float32)
+        inside = (pixels >= 0).all(-1) & (pixels[..., 0] <= scene.width) & (pixels[..., 1] <= scene.height)
     confidence = np.where(inside, np.clip(confidence, 0, 1), 0)
     confidence[:, scene.heldout_frames] = 0
     kept = (confidence >= TRUSTED_CONFIDENCE).sum(1) >= 2

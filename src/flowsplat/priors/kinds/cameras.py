@@ -8,8 +8,10 @@ from functools import partial
 from pathlib import Path
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.progress import report
 from flowsplat.priors.cameras import CameraOptions, camera_stage
-from flowsplat.priors.cameras.stage import OWN, require_lens_in_images, straightens
+from flowsplat.priors.cameras.stage import OWN, WITHOUT_LENS, straightens
+from flowsplat.priors.cameras.straightening import describe_lens, require_lens_in_images, resume_straightening
 from flowsplat.priors.given.camera_check import fit_to_images
 from flowsplat.priors.given.cameras import read_cameras
 from flowsplat.priors.given.fitting import verdict_of
@@ -41,7 +43,7 @@ def _check_renewal(request: PriorRequest, stale: Collection[str]) -> None:
             "it anew: start from the clip, or leave out what asks for other cameras."
         )
     if straightens(request.scene, request.options.cameras):
-        require_lens_in_images(request.scene, stale)
+        require_lens_in_images(request.scene, WITHOUT_LENS, stale)
 
 
 def _read_true(scene: Scene, truth: Layers) -> bool:
@@ -50,12 +52,24 @@ def _read_true(scene: Scene, truth: Layers) -> bool:
 
 
 def _read_given(request: PriorRequest, path: Path) -> None:
-    given = read_cameras(path, request.scene, request.options.given.allow_pickle)
-    cameras, told = fit_to_images(given.cameras, request.scene)
-    request.scene.write_cameras(cameras)
-    verdict = "; ".join(filter(None, (verdict_of(path, given.maker), given.told, told)))
-    request.scene.finish_prior("cameras", method=GIVEN, verdict=verdict)
+    scene = request.scene
+    given = read_cameras(path, scene, request.options.given.allow_pickle)
+    lens, is_straight = given.lens, scene.info.lens is not None
+    if is_straight and (lens is None or lens.to_json() != scene.info.lens):
+        raise InputError(f"The images of {scene.name} were straightened for another lens than that of {path}. Start from the clip.")
+    if lens is not None and not is_straight:
+        require_lens_in_images(scene, f"give cameras without a lens instead of {path}")
+    cameras, told = fit_to_images(given.cameras, scene, None if is_straight else lens)
+    scene.write_cameras(cameras)
+    about = "" if lens is None else describe_lens(lens).rstrip(".").replace("The", "the", 1)
+    prior = {"method": GIVEN, "verdict": "; ".join(filter(None, (verdict_of(path, given.maker), given.told, told, about)))}
     request.memory[MAKER] = given.maker
+    if lens is None or is_straight:
+        scene.finish_prior("cameras", **prior)
+    else:
+        scene.begin_straightening(lens.to_json(), prior)
+        resume_straightening(scene)
+        report(scene.info.notes[-1])
 
 
 CAMERAS = Kind(

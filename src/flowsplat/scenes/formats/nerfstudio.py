@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,16 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import OPENGL
-from flowsplat.scenes.formats.lens import require_pinhole
+from flowsplat.geometry.lens import Distortion
+
+FISHEYE = "OPENCV_FISHEYE"
+"""Name of the lens whose k1 to k4 belong to the angle; instant-ngp says ``is_fisheye`` instead."""
+OTHER_MODELS = re.compile("fisheye|equirectangular|omnidirectional|vr180|orthophoto", re.IGNORECASE)
+"""In the names of lenses that are neither pinholes nor as OpenCV has them (nerfstudio's ``cameras.py``)."""
 
 
-def transforms_camera(where: Path | str, values: Mapping[str, Any], size: tuple[int, int]) -> Camera:
-    """Return the camera of one frame of a ``transforms.json``.
+def transforms_camera(where: Path | str, values: Mapping[str, Any], size: tuple[int, int]) -> tuple[Camera, Distortion]:
+    """Return the camera of one frame of a ``transforms.json``, and how its lens bends its images.
 
     Args:
         where: what to call the file in an error.
@@ -23,11 +29,16 @@ def transforms_camera(where: Path | str, values: Mapping[str, Any], size: tuple[
         size: (width, height) in pixels where the file has none.
 
     Raises:
-        InputError: the lens is no pinhole.
+        InputError: the lens is of a kind that is not known here.
         KeyError, TypeError, ValueError, LinAlgError: a value is missing or cannot be used.
     """
-    if "fisheye" in str(values.get("camera_model", "")).lower():
-        raise InputError(f"{where} describes a fisheye: undistort the images, and give the cameras of the undistorted ones.")
+    model = str(values.get("camera_model", ""))
+    is_fisheye = model.upper() == FISHEYE or values.get("is_fisheye") is True
+    if not is_fisheye and OTHER_MODELS.search(model):
+        raise InputError(
+            f"{where} describes a lens that is not known here, {model:.40}: undistort the images, and give the cameras of the "
+            "undistorted ones."
+        )
     width, height = image_size(values, ("w", "h"), size)
     if "fl_x" in values:
         fx = positive(values["fl_x"], "fl_x")
@@ -36,9 +47,9 @@ def transforms_camera(where: Path | str, values: Mapping[str, Any], size: tuple[
     fy = positive(values.get("fl_y", fx), "fl_y")
     cx, cy = float(values.get("cx", width / 2)), float(values.get("cy", height / 2))
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
-    distortion = [float(values.get(name, 0)) for name in ("k1", "k2", "p1", "p2", "k3")]
-    require_pinhole(where, K, width, height, distortion, " (cv2.undistort)")
-    return Camera(from_opengl(values["transform_matrix"], "transform_matrix"), K, width, height)
+    names = ("k1", "k2", "k3", "k4") if is_fisheye else ("k1", "k2", "p1", "p2", "k3")
+    distortion = Distortion(tuple(float(values.get(name, 0)) for name in names), is_fisheye)
+    return Camera(from_opengl(values["transform_matrix"], "transform_matrix"), K, width, height), distortion
 
 
 def from_opengl(value: Any, name: str) -> np.ndarray:
