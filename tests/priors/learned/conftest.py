@@ -116,6 +116,12 @@ def _sam_parts() -> dict[str, object]:
     }  # fmt: skip
 
 
+def _save_segmenter(network: torch.nn.Module, folder: Path) -> None:
+    """Save a network that follows objects, made to see them: whether it does is else a matter of random weights."""
+    torch.nn.init.ones_(network.mask_decoder.pred_obj_score_head.proj_out.bias)
+    network.save_pretrained(folder)
+
+
 @pytest.fixture(scope="session")
 def sam2(tmp_path_factory) -> Path:
     hf = import_transformers()
@@ -130,7 +136,7 @@ def sam2(tmp_path_factory) -> Path:
         backbone_config=backbone, backbone_channel_list=[64, 32, 16, 8], fpn_hidden_size=HIDDEN,
         backbone_feature_sizes=[[16, 16], [8, 8], [4, 4]],
     )  # fmt: skip
-    hf.Sam2VideoModel(hf.Sam2VideoConfig(vision_config=vision, **_sam_parts())).save_pretrained(folder)
+    _save_segmenter(hf.Sam2VideoModel(hf.Sam2VideoConfig(vision_config=vision, **_sam_parts())), folder)
     size = {"height": SIDE, "width": SIDE}
     images = hf.Sam2ImageProcessor(size=size, mask_size={"height": 16, "width": 16})
     hf.Sam2VideoProcessor(images, hf.Sam2VideoVideoProcessor(size=size)).save_pretrained(folder)
@@ -149,7 +155,7 @@ def sam3(tmp_path_factory) -> Path:
     vision = hf.Sam3VisionConfig(
         backbone_config=backbone, fpn_hidden_size=HIDDEN, backbone_feature_sizes=[[16, 16], [8, 8], [4, 4]]
     )
-    hf.Sam3TrackerVideoModel(hf.Sam3TrackerVideoConfig(vision_config=vision, **_sam_parts())).save_pretrained(folder)
+    _save_segmenter(hf.Sam3TrackerVideoModel(hf.Sam3TrackerVideoConfig(vision_config=vision, **_sam_parts())), folder)
     size = {"height": SIDE, "width": SIDE}
     images = hf.Sam3ImageProcessor(size=size, mask_size={"height": 16, "width": 16})
     hf.Sam3TrackerVideoProcessor(images, hf.Sam2VideoVideoProcessor(size=size)).save_pretrained(folder)

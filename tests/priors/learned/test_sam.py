@@ -30,7 +30,10 @@ def test_objects_are_followed_from_where_they_are_shown(scene: Scene, name: str,
     folder = request.getfixturevalue(name)
     segmenter = load_segmenter(name, ModelOptions(**{name: str(folder)}), CPU)
     assert segmenter.network.dtype == torch.float32
-    prompts = [Prompt(3, ((40.5, 30.5),), (29, 18, 57, 46)), Prompt(0, ((100.0, 30.0),)), Prompt(3, (), (80, 10, 120, 50))]
+    prompts = [
+        Prompt(3, ((40.5, 30.5),), (29, 18, 57, 46), number=1), Prompt(0, ((100.0, 30.0),), number=2),
+        Prompt(3, (), (80, 10, 120, 50), number=3),
+    ]  # fmt: skip
     sam_stage(scene, segmenter, prompts, "clicks and boxes")
     found = [scene.mask(i) for i in scene.train_frames]
     assert all(mask.shape == (HEIGHT, WIDTH) for mask in found)

@@ -19,7 +19,7 @@ class ModelOptions:
     fetched once."""
 
     raft: str = "large"
-    """RAFT: large or small, with torchvision's weights, or your own file (.pth) of such weights or of those that its authors publish
+    """RAFT: large or small, with torchvision's weights, or your own file (.pth) of such weights or of those of its authors
     (raft-things.pth, raft-small.pth)."""
     depth_anything: str = "depth-anything/Depth-Anything-V2-Small-hf"
     """Depth Anything."""
