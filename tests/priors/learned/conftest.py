@@ -144,6 +144,32 @@ def sam2(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def edgetam(tmp_path_factory) -> Path:
+    hf = import_transformers()
+    if importlib.util.find_spec("timm") is None:
+        pytest.skip("timm, which EdgeTAM needs, is not installed")
+    torch.manual_seed(0)
+    folder = tmp_path_factory.mktemp("sam") / "edge"
+    backbone = hf.TimmWrapperConfig(
+        architecture="repvit_m1", model_args={"in_chans": 3, "features_only": True, "out_indices": [0, 1, 2, 3]}
+    )
+    vision = hf.EdgeTamVisionConfig(
+        backbone_config=backbone, backbone_feature_sizes=[[16, 16], [8, 8], [4, 4]], fpn_hidden_size=HIDDEN
+    )
+    parts = _sam_parts()
+    parts["memory_attention_mlp_hidden_size"] = parts.pop("memory_attention_feed_forward_hidden_size")
+    config = hf.EdgeTamVideoConfig(
+        vision_config=vision, **parts, memory_attention_rope_k_sizes=[4, 4], perceiver_resampler_num_latents=16,
+        perceiver_resampler_num_latents_2d=16,
+    )  # fmt: skip
+    _save_segmenter(hf.EdgeTamVideoModel(config), folder)
+    size = {"height": SIDE, "width": SIDE}
+    images = hf.Sam2ImageProcessor(size=size, mask_size={"height": 16, "width": 16})
+    hf.Sam2VideoProcessor(images, hf.Sam2VideoVideoProcessor(size=size)).save_pretrained(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
 def sam3(tmp_path_factory) -> Path:
     hf = import_transformers()
     torch.manual_seed(0)
