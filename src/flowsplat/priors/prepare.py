@@ -60,7 +60,7 @@ def prepare_priors(
     if any(prior.kind.finds_flow for prior in due):
         request = replace(request, estimate=flow_estimator(request.options, device))
     ready = {prior.name: _ready(request, prior) for prior in due if prior.name not in options.given.named}
-    if took := describe_time(request.options, list(ready), len(scene.train_frames), scene.width * scene.height, device):
+    if took := describe_time(request.options, list(ready), len(scene.train_frames), (scene.width, scene.height), device):
         report(took)
     PRIORS.forget(scene, stale)
     missing = PRIORS.list_missing(scene)

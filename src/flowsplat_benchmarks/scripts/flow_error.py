@@ -3,10 +3,10 @@
     python -m flowsplat_benchmarks.scripts.flow_error OUT DATA_ROOT --raft raft-small.pth --seed 0 --worlds 10
 
 Pairs of images with measured flow under ``DATA_ROOT/flow`` one way, and random worlds, 40 frames of 320 x 180, every fourth pair of
-neighbors both ways, with the figures of ``flowsplat benchmark priors``, pooled over the worlds. ``raft x2`` gets images of twice
-the size. Dense Inverse Search is the first search alone, without the one inside objects that ``prepare`` adds. Times are of one
-thread, the fastest of five, in seconds of the processor, at the size of a world and, with the first pair enlarged, at 854 x 480.
-``OUT/flow_error.md`` is the table. The same command again does not render again.
+neighbors both ways, with the figures of ``flowsplat benchmark priors``, pooled over the worlds. RAFT enlarges images whose shorter
+side has fewer than ``--sides`` pixels. Times are of one thread, the fastest of five, in seconds of the processor, at the size of a
+world and, with the first pair enlarged, at 854 x 480. ``OUT/flow_error.md`` is the table. The same command again renders no world
+again.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from flowsplat.common.files import write_text
 from flowsplat.common.progress import track
 from flowsplat.common.threads import set_thread_count
 from flowsplat.priors.flow import FlowEstimator, dis_estimator, forward_backward_confidence
-from flowsplat.priors.learned.raft import raft_estimator
+from flowsplat.priors.learned.raft import MIN_SIDE, raft_estimator
 from flowsplat.scenes import Flow, Scene
 from flowsplat.scenes.ingest import ingest, open_clip
 from flowsplat_benchmarks.priors.measure import Figures, flow_figures, read_true_flow
@@ -44,17 +44,6 @@ REPEATS = 5
 """Of a timed pair, of which the fastest counts."""
 COLUMNS = ("flow.epe", "flow.epe_objects", "flow.epe_matched", "flow.epe_matched_objects", "flow.kept", "flow.right")
 """Figures of the table, by their keys in ``flow_figures``."""
-
-
-def enlarge(estimate: FlowEstimator) -> FlowEstimator:
-    """Return what finds flow on images of twice the size."""
-
-    def find(a: np.ndarray, b: np.ndarray, guess: np.ndarray | None = None) -> np.ndarray:
-        size = a.shape[1], a.shape[0]
-        larger = [cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC) for image in (a, b)]
-        return cv2.resize(estimate(larger[0], larger[1], guess), size, interpolation=cv2.INTER_AREA) / 2
-
-    return find
 
 
 def find_flow(scene: Scene, estimate: FlowEstimator, stride: int = 1) -> dict[tuple[int, int], Flow]:
@@ -101,12 +90,13 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("data", type=Path)
     parser.add_argument("--raft", required=True, help="small, large or a file of weights")
+    parser.add_argument("--sides", type=int, nargs="+", default=[128, MIN_SIDE])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--worlds", type=int, default=10)
     chosen = parser.parse_args()
     set_thread_count(1)
-    raft = raft_estimator(chosen.raft, torch.device("cpu"))
-    estimators = {"dis": dis_estimator, "raft": raft, "raft x2": enlarge(raft)}
+    networks = {f"raft {side}": raft_estimator(chosen.raft, torch.device("cpu"), side) for side in chosen.sides}
+    estimators: dict[str, FlowEstimator] = {"dis": dis_estimator, **networks}
     rows = []
     pairs = {each.name: each for each in find_scenes(chosen.data) if each.kind == "pair"}
     scenes = {name: ingest_pair(each, chosen.out / name) for name, each in pairs.items()}
@@ -121,8 +111,8 @@ def main() -> None:
     times = []
     for size in TIMED_SIZES:
         a, b = (cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in images)
-        times += [[f"{size[0]} x {size[1]}", *(f"{time_pair((a, b), estimators[name]):.3f}" for name in ("dis", "raft"))]]
-    lines = format_table(("", "", *COLUMNS), rows) + [""] + format_table(("seconds a pair", "dis", "raft"), times)
+        times += [[f"{size[0]} x {size[1]}", *(f"{time_pair((a, b), find):.3f}" for find in estimators.values())]]
+    lines = format_table(("", "", *COLUMNS), rows) + [""] + format_table(("seconds a pair", *estimators), times)
     write_text(chosen.out / "flow_error.md", "\n".join(lines) + "\n")
 
 

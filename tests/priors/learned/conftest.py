@@ -52,6 +52,12 @@ def import_transformers() -> ModuleType:
     return transformers
 
 
+@pytest.fixture(autouse=True)
+def small_images(monkeypatch):
+    """RAFT enlarges images no more than it must, so that it takes less time."""
+    monkeypatch.setattr("flowsplat.priors.learned.raft.MIN_SIDE", 128)
+
+
 @pytest.fixture(scope="session")
 def raft_file(tmp_path_factory) -> Path:
     import_torchvision()

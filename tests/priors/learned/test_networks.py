@@ -155,14 +155,17 @@ def test_a_prior_that_is_there_is_made_anew_by_a_network_that_is_asked_for(scene
     assert asked == ["dis", "raft", "raft"]
 
 
-def test_time_on_the_cpu_is_told_beforehand():
+def test_time_on_the_cpu_is_told_beforehand(tmp_path: Path):
     import_torchvision()
     filled = PriorsOptions(flow="raft", masks="edgetam")
-    line = describe_time(filled, ["cameras", "flow", "masks"], 100, 854 * 480, "cpu")
-    seconds = 20.0 / thread_count()
+    line = describe_time(filled, ["cameras", "flow", "masks"], 100, (854, 480), "cpu")
+    seconds = 50.0 / thread_count()
     assert line is not None
     assert f"flow by raft {seconds:.1f} s a frame" in line
     assert "for 100 frames" in line
-    assert describe_time(PriorsOptions(flow="dis", masks="motion"), ["flow", "masks"], 100, 1000, "cpu") is None
-    assert describe_time(filled, ["cameras", "depth"], 100, 1000, "cpu") is None
-    assert describe_time(filled, ["flow"], 100, 1000, "cuda") is None
+    (tmp_path / "small.pth").write_bytes(bytes(1000))
+    small = PriorsOptions(flow="raft", models=ModelOptions(raft=str(tmp_path / "small.pth")))
+    assert f"flow by raft {0.27 * seconds:.1f} s a frame" in (describe_time(small, ["flow"], 1, (854, 480), "cpu") or "")
+    assert describe_time(PriorsOptions(flow="dis", masks="motion"), ["flow", "masks"], 100, (40, 25), "cpu") is None
+    assert describe_time(filled, ["cameras", "depth"], 100, (40, 25), "cpu") is None
+    assert describe_time(filled, ["flow"], 100, (40, 25), "cuda") is None

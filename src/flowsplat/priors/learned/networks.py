@@ -14,6 +14,7 @@ import torch
 from flowsplat.common.durations import format_duration
 from flowsplat.common.errors import describe_install
 from flowsplat.common.threads import thread_count
+from flowsplat.priors.learned.raft import MIN_SIDE
 from flowsplat.priors.learned.weights import ModelOptions, looks_like_path, network_device
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ class Network:
         packages: that must be installed.
         megabytes: of the weights that ``ModelOptions`` names where it is left as it is.
         license: of these weights.
-        seconds: of one thread for a training frame; flow there and back, of 854 x 480 pixels, and an object's mask once.
+        seconds: of one thread for a training frame: flow of 854 x 480 pixels, and an object's mask once.
         per_pixel: whether the time grows with the number of pixels; others give their networks images of one size.
     """
 
@@ -40,15 +41,19 @@ class Network:
 
 
 NETWORKS: Mapping[tuple[str, str], Network] = {
-    ("flow", "raft"): Network(("torchvision",), 20, "BSD-3-Clause", 20.0, True),
+    ("flow", "raft"): Network(("torchvision",), 20, "BSD-3-Clause", 50.0, True),
     ("masks", "edgetam"): Network(("transformers", "torchvision", "timm"), 56, "Apache-2.0", 2.5, False),
     ("masks", "sam2"): Network(("transformers", "torchvision"), 156, "Apache-2.0", 7.5, False),
 }
 """By prior and method. Megabytes are four for a million weights, which were counted; seconds are those of the processor with random
-weights on a Xeon with AVX-512 that others used, too (854 x 480)."""
+weights on a Xeon with AVX-512 that others used, too: of flow five pairs of 10.2 s, as many as a frame of a random world took (10
+frames, still camera), two of them for the flow itself and the others for masks."""
 
 SMALL_SHARE = 0.27
 """Of RAFT's time that the small network takes (2.7 of 10.2 s a pair, measured as above)."""
+
+MAX_SMALL_BYTES = 10_000_000
+"""Of a file with the small network's weights, which are 4 MB; those of the large one are 20 MB."""
 
 TIMED_PIXELS = 854 * 480
 """At which ``Network.seconds`` of flow was measured."""
@@ -124,23 +129,28 @@ def describe_choice(asked: PriorsOptions, filled: PriorsOptions, device: str) ->
     return line
 
 
-def describe_time(filled: PriorsOptions, priors: Sequence[str], frames: int, pixels: int, device: str) -> str | None:
+def _is_small_raft(source: str) -> bool:
+    return source == "small" or (os.path.isfile(source) and os.path.getsize(source) < MAX_SMALL_BYTES)
+
+
+def describe_time(filled: PriorsOptions, priors: Sequence[str], frames: int, size: tuple[int, int], device: str) -> str | None:
     """Return one line: how long networks take on a CPU; None where none computes there.
 
     Args:
         priors: those that will be computed.
         frames: training frames.
-        pixels: of one.
+        size: width and height of one.
     """
     if network_device(device).type != "cpu":
         return None
     parts, total = [], 0.0
+    pixels = size[0] * size[1] * max(1.0, MIN_SIDE / min(size)) ** 2
     for prior in priors:
         network = NETWORKS.get((prior, str(getattr(filled, prior, None))))
         if network is None:
             continue
         seconds = network.seconds * (pixels / TIMED_PIXELS if network.per_pixel else 1.0) / thread_count()
-        if filled.models.raft == "small" and prior == "flow":
+        if prior == "flow" and _is_small_raft(filled.models.raft):
             seconds *= SMALL_SHARE
         parts.append(f"{prior} by {getattr(filled, prior)} {seconds:.1f} s a frame")
         total += seconds * frames
