@@ -24,7 +24,7 @@ OPTION, SETTING, INSTEAD = "--flow raft", "--models.raft", "--flow dis"
 MIN_SIDE = 360
 """Pixels of the shorter side below which images are enlarged: it matches them at an eighth of their size. With 360 instead of the
 128 that its pyramid of correlations needs, the small network's end-point error on ten random worlds of 320 x 180 (seeds 0 to 9) is
-.24 instead of .35 pixels, on objects 1.00 instead of 1.77 (``flowsplat_benchmarks.scripts.flow_error``)."""
+.23 instead of .35 pixels, on objects 1.00 instead of 1.77 (``flowsplat_benchmarks.scripts.flow_error``)."""
 
 SIDE_MULTIPLE = 8
 """Sides are continued to a multiple of this."""
