@@ -16,13 +16,15 @@ from flowsplat.priors.learned.weights import ModelOptions
 class PriorsOptions:
     """Where the priors come from."""
 
-    priors: Literal["own", "true"] = "own"
-    """``own`` computes them from the frames; ``true`` takes those of a rendered scene, as far as it has them."""
-    flow: Literal["dis", "raft"] = "dis"
-    """Optical flow: dis (no weights) or raft (a network of the extra ``learned``)."""
-    masks: Literal["motion", "sam2", "sam3"] = "motion"
+    priors: Literal["own", "true", "learned", "auto"] = "own"
+    """``own`` computes them from the frames, without weights; ``true`` takes those of a rendered scene, as far as it has them;
+    ``learned`` takes networks for flow and masks, and ``auto`` those of them that are installed with their weights: it fetches
+    nothing. ``--flow``, ``--masks`` and ``--depth`` go before it."""
+    flow: Literal["dis", "raft"] | None = None
+    """Optical flow: dis (no weights) or raft (a network of the extra ``learned``). None = as --priors says, dis by default."""
+    masks: Literal["motion", "sam2", "sam3", "edgetam"] | None = None
     """Masks of what moves: motion (no weights), or what the motion or your clicks and boxes show, followed by a network of the
-    extra ``learned``."""
+    extra ``learned`` (edgetam also needs timm). None = as --priors says, motion by default."""
     mask_click: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A moving object: x,y@frame, in pixels of the prepared frames or as shares of the image (0.5,0.4@0). Repeat it for more.
     With the number of an object behind it (x,y@frame=1) it corrects that one, on another frame, say: they count from 1, boxes
@@ -36,11 +38,13 @@ class PriorsOptions:
     far away it is over the whole clip. Repeat it for more."""
     same_depth: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """What something that moves is as far away as: x,y@frame=x2,y2, where x2,y2 shows something still in that frame."""
-    depth: Literal["multiview", "depth-anything", "depth-pro"] = "multiview"
-    """Depth: multiview (no weights), or a monocular network of the extra ``learned``, fitted to the cameras frame by frame."""
-    object_depth: Literal["none", "depth-anything", "depth-pro"] = "none"
+    depth: Literal["multiview", "depth-anything", "depth-pro"] | None = None
+    """Depth: multiview (no weights), or a monocular network of the extra ``learned``, fitted to the cameras frame by frame. None =
+    multiview."""
+    object_depth: Literal["none", "depth-anything", "depth-pro"] | None = None
     """Monocular depth by a network of the extra ``learned`` that only helps to tell how far away objects are, as far as it is right
-    where nothing moves. Where the camera does not travel, it also gives the depth of all else."""
+    where nothing moves. Where the camera does not travel, it also gives the depth of all else. None = none, unless ``--priors``
+    says otherwise."""
     models: ModelOptions = field(default_factory=ModelOptions)
     """Which weights the learned ones use."""
     given: GivenPriors = field(default_factory=GivenPriors)

@@ -12,6 +12,7 @@ from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.given import GivenPriors, true_layers
 from flowsplat.priors.graph import PRIORS
 from flowsplat.priors.kinds.flow import flow_estimator
+from flowsplat.priors.learned.networks import describe_choice, describe_time, fill_methods
 from flowsplat.priors.objects.hints import Hint, parse_hints
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.priors.prior import Prior, PriorRequest, Stage
@@ -46,6 +47,8 @@ def prepare_priors(
     request = request_of(scene, options, device)
     stale = PRIORS.stale(request)
     _report_what_is_kept(request, stale)
+    if options.priors == "auto":
+        report(describe_choice(options, request.options, device))
     seconds: dict[str, float] = {}
     if request.wants_truth and (stale or PRIORS.list_missing(scene)):
         true_layers(scene)
@@ -55,8 +58,10 @@ def prepare_priors(
     # Networks are loaded before anything is forgotten or computed: that one is missing is said now, not after minutes of work.
     due = [prior for prior in PRIORS.whole if prior.name in stale or scene.prior(prior.name) is None]
     if any(prior.kind.finds_flow for prior in due):
-        request = replace(request, estimate=flow_estimator(options, device))
+        request = replace(request, estimate=flow_estimator(request.options, device))
     ready = {prior.name: _ready(request, prior) for prior in due if prior.name not in options.given.named}
+    if took := describe_time(request.options, list(ready), len(scene.train_frames), (scene.width, scene.height), device):
+        report(took)
     PRIORS.forget(scene, stale)
     missing = PRIORS.list_missing(scene)
     if request.prompts and "masks" in missing:
@@ -80,6 +85,7 @@ def request_of(scene: Scene, options: PriorsOptions, device: str = "auto") -> Pr
         InputError: they do, or a click is no click.
     """
     prompts, hints = check_places(scene, options)
+    options = fill_methods(options, device)
     if hints and (options.priors == "true" or options.depth != "multiview" or options.given.depth is not None):
         raise InputError("--contact and --same-depth place objects in depth of our own: leave out what takes other depth.")
     monocular = options.object_depth != "none" or options.given.object_depth is not None

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
+from flowsplat.priors.learned.networks import fill_methods
 from flowsplat.priors.objects.hints import Hint
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.priors.prompts import Prompt
@@ -33,6 +34,7 @@ class PriorRequest:
     Attributes:
         prompts: clicks and boxes, read from the options.
         hints: what is said of the distances of objects.
+        options: whatever they are made with, here they name every method.
         device: where networks run: auto, cpu or cuda.
         estimate: finds flow.
         memory: what a step hands on without storing it, by the name of the step.
@@ -46,10 +48,18 @@ class PriorRequest:
     estimate: FlowEstimator = dis_estimator
     memory: dict[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        """Fill in the methods that the options leave to ``--priors``."""
+        object.__setattr__(self, "options", fill_methods(self.options, self.device))
+
     def method(self, name: str) -> str | None:
         """Return how the prior that is there was made; None where there is none."""
         prior = self.scene.prior(name)
         return None if prior is None else str(prior.get("method"))
+
+    def choice(self, name: str) -> str:
+        """Return the method that is wanted of ``flow``, ``masks``, ``depth`` or ``object_depth``."""
+        return str(getattr(self.options, name))
 
     @property
     def wants_truth(self) -> bool:

@@ -52,6 +52,12 @@ def import_transformers() -> ModuleType:
     return transformers
 
 
+@pytest.fixture(autouse=True)
+def small_images(monkeypatch):
+    """RAFT enlarges images no more than it must, so that it takes less time."""
+    monkeypatch.setattr("flowsplat.priors.learned.raft.MIN_SIDE", 128)
+
+
 @pytest.fixture(scope="session")
 def raft_file(tmp_path_factory) -> Path:
     import_torchvision()
@@ -116,6 +122,12 @@ def _sam_parts() -> dict[str, object]:
     }  # fmt: skip
 
 
+def _save_segmenter(network: torch.nn.Module, folder: Path) -> None:
+    """Save a network that follows objects, made to see them: whether it does is else a matter of random weights."""
+    torch.nn.init.ones_(network.mask_decoder.pred_obj_score_head.proj_out.bias)
+    network.save_pretrained(folder)
+
+
 @pytest.fixture(scope="session")
 def sam2(tmp_path_factory) -> Path:
     hf = import_transformers()
@@ -130,7 +142,33 @@ def sam2(tmp_path_factory) -> Path:
         backbone_config=backbone, backbone_channel_list=[64, 32, 16, 8], fpn_hidden_size=HIDDEN,
         backbone_feature_sizes=[[16, 16], [8, 8], [4, 4]],
     )  # fmt: skip
-    hf.Sam2VideoModel(hf.Sam2VideoConfig(vision_config=vision, **_sam_parts())).save_pretrained(folder)
+    _save_segmenter(hf.Sam2VideoModel(hf.Sam2VideoConfig(vision_config=vision, **_sam_parts())), folder)
+    size = {"height": SIDE, "width": SIDE}
+    images = hf.Sam2ImageProcessor(size=size, mask_size={"height": 16, "width": 16})
+    hf.Sam2VideoProcessor(images, hf.Sam2VideoVideoProcessor(size=size)).save_pretrained(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def edgetam(tmp_path_factory) -> Path:
+    hf = import_transformers()
+    if importlib.util.find_spec("timm") is None:
+        pytest.skip("timm, which EdgeTAM needs, is not installed")
+    torch.manual_seed(0)
+    folder = tmp_path_factory.mktemp("sam") / "edge"
+    backbone = hf.TimmWrapperConfig(
+        architecture="repvit_m1", model_args={"in_chans": 3, "features_only": True, "out_indices": [0, 1, 2, 3]}
+    )
+    vision = hf.EdgeTamVisionConfig(
+        backbone_config=backbone, backbone_feature_sizes=[[16, 16], [8, 8], [4, 4]], fpn_hidden_size=HIDDEN
+    )
+    parts = _sam_parts()
+    parts["memory_attention_mlp_hidden_size"] = parts.pop("memory_attention_feed_forward_hidden_size")
+    config = hf.EdgeTamVideoConfig(
+        vision_config=vision, **parts, memory_attention_rope_k_sizes=[4, 4], perceiver_resampler_num_latents=16,
+        perceiver_resampler_num_latents_2d=16,
+    )  # fmt: skip
+    _save_segmenter(hf.EdgeTamVideoModel(config), folder)
     size = {"height": SIDE, "width": SIDE}
     images = hf.Sam2ImageProcessor(size=size, mask_size={"height": 16, "width": 16})
     hf.Sam2VideoProcessor(images, hf.Sam2VideoVideoProcessor(size=size)).save_pretrained(folder)
@@ -149,7 +187,7 @@ def sam3(tmp_path_factory) -> Path:
     vision = hf.Sam3VisionConfig(
         backbone_config=backbone, fpn_hidden_size=HIDDEN, backbone_feature_sizes=[[16, 16], [8, 8], [4, 4]]
     )
-    hf.Sam3TrackerVideoModel(hf.Sam3TrackerVideoConfig(vision_config=vision, **_sam_parts())).save_pretrained(folder)
+    _save_segmenter(hf.Sam3TrackerVideoModel(hf.Sam3TrackerVideoConfig(vision_config=vision, **_sam_parts())), folder)
     size = {"height": SIDE, "width": SIDE}
     images = hf.Sam3ImageProcessor(size=size, mask_size={"height": 16, "width": 16})
     hf.Sam3TrackerVideoProcessor(images, hf.Sam2VideoVideoProcessor(size=size)).save_pretrained(folder)

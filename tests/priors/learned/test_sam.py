@@ -1,4 +1,4 @@
-"""SAM 2 and SAM 3, tiny and random: the true loading and following, on training frames alone."""
+"""SAM 2, SAM 3 and EdgeTAM, tiny and random: the true loading and following, on training frames alone."""
 
 from __future__ import annotations
 
@@ -25,12 +25,15 @@ def scene(tmp_path: Path) -> Scene:
     return write_planes(tmp_path, step=2, square=True, holdout=5)
 
 
-@pytest.mark.parametrize("name", ["sam2", "sam3"])
+@pytest.mark.parametrize("name", ["sam2", "sam3", "edgetam"])
 def test_objects_are_followed_from_where_they_are_shown(scene: Scene, name: str, request):
     folder = request.getfixturevalue(name)
     segmenter = load_segmenter(name, ModelOptions(**{name: str(folder)}), CPU)
     assert segmenter.network.dtype == torch.float32
-    prompts = [Prompt(3, ((40.5, 30.5),), (29, 18, 57, 46)), Prompt(0, ((100.0, 30.0),)), Prompt(3, (), (80, 10, 120, 50))]
+    prompts = [
+        Prompt(3, ((40.5, 30.5),), (29, 18, 57, 46), number=1), Prompt(0, ((100.0, 30.0),), number=2),
+        Prompt(3, (), (80, 10, 120, 50), number=3),
+    ]  # fmt: skip
     sam_stage(scene, segmenter, prompts, "clicks and boxes")
     found = [scene.mask(i) for i in scene.train_frames]
     assert all(mask.shape == (HEIGHT, WIDTH) for mask in found)
@@ -77,6 +80,13 @@ def test_another_network_is_refused(depth_anything: Path):
     with pytest.raises(InputError, match="--masks sam2: ") as caught:
         load_segmenter("sam2", ModelOptions(sam2=str(depth_anything)), CPU)
     assert "\n" not in str(caught.value)
+
+
+def test_edgetam_needs_the_package_of_its_backbone(monkeypatch):
+    import_transformers()
+    monkeypatch.setitem(__import__("sys").modules, "timm", None)
+    with pytest.raises(InputError, match=r"--masks edgetam needs timm.*pip install timm.*--masks motion"):
+        load_segmenter("edgetam", ModelOptions(), CPU)
 
 
 def test_without_transformers_there_is_a_reason(monkeypatch):

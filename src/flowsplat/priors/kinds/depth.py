@@ -13,20 +13,21 @@ from flowsplat.priors.given.fitting import verdict_of
 from flowsplat.priors.kinds.cameras import MAKER
 from flowsplat.priors.kinds.object_depth import open_object_depth
 from flowsplat.priors.kinds.static_depth import STATIC
+from flowsplat.priors.learned.networks import OWN_METHODS
 from flowsplat.priors.learned.weights import network_device
 from flowsplat.priors.monocular import monocular_stage
 from flowsplat.priors.prior import BROUGHT, GIVEN, Kind, PriorRequest, Stage
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import Layers
 
-OWN = "multiview"
+OWN = OWN_METHODS["depth"]
 GUESS = "guess"
 """Method of depth of a clip without parallax, whatever gives it: its scale is free."""
 
 
 def _compute(request: PriorRequest) -> Stage:
     scene, estimate = request.scene, request.estimate
-    if request.options.depth == OWN:
+    if request.choice("depth") == OWN:
         monocular = open_object_depth(request)
 
         def stage() -> None:
@@ -39,7 +40,7 @@ def _compute(request: PriorRequest) -> Stage:
         return stage
     from flowsplat.priors.learned.depth import predict_depth
 
-    source = predict_depth(request.options.depth, scene, request.options.models, network_device(request.device))
+    source = predict_depth(request.choice("depth"), scene, request.options.models, network_device(request.device))
     return partial(monocular_stage, scene, source, estimate)
 
 
@@ -80,7 +81,7 @@ DEPTH = Kind(
     options=("depth", "models"),
     files=("depth",),
     own=("multi-view", GUESS),
-    asked=lambda request: None if request.options.depth == OWN else request.options.depth,
+    asked=lambda request: None if request.choice("depth") == OWN else request.choice("depth"),
     finds_flow=True,
     read_true=_read_true,
     asks_truth=lambda request: True,

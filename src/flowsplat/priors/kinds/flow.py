@@ -9,6 +9,7 @@ from flowsplat.priors.flow import FlowEstimator, dis_estimator, flow_stage
 from flowsplat.priors.given import consecutive_pairs
 from flowsplat.priors.given.fitting import verdict_of
 from flowsplat.priors.given.flow import read_flow
+from flowsplat.priors.learned.networks import OWN_METHODS, fill_methods
 from flowsplat.priors.learned.weights import network_device
 from flowsplat.priors.object_flow import object_flow_stage
 from flowsplat.priors.options import PriorsOptions
@@ -16,7 +17,7 @@ from flowsplat.priors.prior import GIVEN, TRUTH, Kind, PriorRequest
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import Layers
 
-OWN = "dis"
+OWN = OWN_METHODS["flow"]
 
 
 def flow_estimator(options: PriorsOptions, device: str) -> FlowEstimator:
@@ -25,6 +26,7 @@ def flow_estimator(options: PriorsOptions, device: str) -> FlowEstimator:
     Raises:
         InputError: a network is not there.
     """
+    options = fill_methods(options, device)
     if options.flow == OWN:
         return dis_estimator
     from flowsplat.priors.learned.raft import raft_estimator
@@ -35,7 +37,7 @@ def flow_estimator(options: PriorsOptions, device: str) -> FlowEstimator:
 def _get_requested(request: PriorRequest) -> str | None:
     """Return a network, unless the flow is true and is to be: the truth may lack flow, so nothing else asks for it."""
     is_true = request.wants_truth and request.method("flow") == TRUTH
-    return None if request.options.flow == OWN or is_true else request.options.flow
+    return None if request.choice("flow") == OWN or is_true else request.choice("flow")
 
 
 def _read_true(scene: Scene, truth: Layers) -> bool:
@@ -57,7 +59,7 @@ def _read_given(request: PriorRequest, path: Path) -> None:
 
 
 FLOW = Kind(
-    compute=lambda request: partial(flow_stage, request.scene, request.options.flow, request.estimate),
+    compute=lambda request: partial(flow_stage, request.scene, request.choice("flow"), request.estimate),
     options=("flow", "models"),
     files=("flow",),
     own=(OWN,),

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from flowsplat.priors.given.masks import use_masks
+from flowsplat.priors.learned.networks import OWN_METHODS
 from flowsplat.priors.learned.weights import network_device
 from flowsplat.priors.masks import mask_stage
 from flowsplat.priors.prior import GIVEN, Kind, PriorRequest, Stage
@@ -13,16 +14,16 @@ from flowsplat.priors.prompts import prompt_stage, shows
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import Layers
 
-OWN, CLICKS = "motion", "clicks"
+OWN, CLICKS = OWN_METHODS["masks"], "clicks"
 
 
 def _compute(request: PriorRequest) -> Stage:
     scene, estimate, prompts = request.scene, request.estimate, request.prompts
-    if request.options.masks == OWN:
+    if request.choice("masks") == OWN:
         return partial(prompt_stage, scene, prompts, estimate) if prompts else partial(mask_stage, scene, estimate)
     from flowsplat.priors.learned.sam import load_segmenter, prompts_from_masks, sam_stage
 
-    segmenter = load_segmenter(request.options.masks, request.options.models, network_device(request.device))
+    segmenter = load_segmenter(request.choice("masks"), request.options.models, network_device(request.device))
     if prompts:
         return partial(sam_stage, scene, segmenter, prompts, "clicks and boxes")
 
@@ -34,8 +35,8 @@ def _compute(request: PriorRequest) -> Stage:
 
 
 def _get_requested(request: PriorRequest) -> str | None:
-    if request.options.masks != OWN:
-        return request.options.masks
+    if request.choice("masks") != OWN:
+        return request.choice("masks")
     return CLICKS if request.prompts else None
 
 

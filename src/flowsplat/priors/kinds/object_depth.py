@@ -20,7 +20,8 @@ def name_object_depth(request: PriorRequest) -> str | None:
     """Return where it comes from; None where none is asked for."""
     if request.options.given.object_depth is not None:
         return GIVEN
-    return None if request.options.object_depth == "none" else request.options.object_depth
+    chosen = request.choice("object_depth")
+    return None if chosen == "none" else chosen
 
 
 def open_object_depth(request: PriorRequest) -> Callable[[], Monocular] | None:
@@ -41,14 +42,8 @@ def open_object_depth(request: PriorRequest) -> Callable[[], Monocular] | None:
 def _load(request: PriorRequest) -> Callable[[], Monocular]:
     from flowsplat.priors.learned.depth import predict_depth
 
-    options = request.options
-    source = predict_depth(
-        options.object_depth,
-        request.scene,
-        options.models,
-        network_device(request.device),
-        f"--object-depth {options.object_depth}",
-    )
+    name, device = request.choice("object_depth"), network_device(request.device)
+    source = predict_depth(name, request.scene, request.options.models, device, f"--object-depth {name}")
     return lambda: source
 
 

@@ -18,7 +18,7 @@ def has_masks(scene: Scene) -> bool:
 
 def computes_own_depth(request: PriorRequest) -> bool:
     """Return whether depth is to be computed, and from matches."""
-    return request.computes("depth") and request.options.depth == "multiview"
+    return request.computes("depth") and request.choice("depth") == "multiview"
 
 
 def _compute(request: PriorRequest) -> Stage:

@@ -1,4 +1,5 @@
-"""Masks of moving objects followed through the clip by SAM 2 (https://arxiv.org/abs/2408.00714) or SAM 3.
+"""Masks of moving objects followed through the clip by SAM 2 (https://arxiv.org/abs/2408.00714), SAM 3, or EdgeTAM
+(https://arxiv.org/abs/2501.07256), which is SAM 2 made for small devices.
 
 What is to be followed is shown to it on one frame an object: the user's clicks and boxes, or without them what the motion
 found (``masks``), each object where it covers the largest area.
@@ -22,6 +23,13 @@ from flowsplat.scenes import Scene
 
 INSTEAD = "--masks motion"
 
+CLASSES = {
+    "sam2": ("Sam2VideoModel", "Sam2VideoProcessor"),
+    "sam3": ("Sam3TrackerVideoModel", "Sam3TrackerVideoProcessor"),
+    "edgetam": ("EdgeTamVideoModel", "Sam2VideoProcessor"),
+}
+"""Of every network, the classes of transformers for itself and for what prepares its input."""
+
 
 @dataclass(frozen=True)
 class Segmenter:
@@ -35,19 +43,19 @@ class Segmenter:
 
 
 def load_segmenter(name: str, models: ModelOptions, device: torch.device) -> Segmenter:
-    """``sam2`` or ``sam3``.
+    """``sam2``, ``sam3`` or ``edgetam``.
 
     Raises:
-        InputError: transformers or the weights are not there.
+        InputError: transformers, the package of its backbone or the weights are not there.
     """
     option, setting = f"--masks {name}", f"--models.{name}"
     transformers = require_package("transformers", option, INSTEAD)
     require_package("torchvision", option, INSTEAD)  # What prepares the images needs it.
-    source = models.sam3 if name == "sam3" else models.sam2
-    kind = "Sam3TrackerVideo" if name == "sam3" else "Sam2Video"
+    if name == "edgetam":
+        require_package("timm", option, INSTEAD, "pip install timm")  # has its backbone
+    source = str(getattr(models, name))
     network, processor = (
-        from_hub(getattr(transformers, kind + part), source, option=option, setting=setting, instead=INSTEAD)
-        for part in ("Model", "Processor")
+        from_hub(getattr(transformers, kind), source, option=option, setting=setting, instead=INSTEAD) for kind in CLASSES[name]
     )
     return Segmenter(name, source, network.to(device), processor, device)
 

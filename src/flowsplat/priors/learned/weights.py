@@ -19,7 +19,8 @@ class ModelOptions:
     fetched once."""
 
     raft: str = "large"
-    """RAFT: large or small, with torchvision's weights, or your own file of such weights (.pth)."""
+    """RAFT: large or small, with torchvision's weights, or your own file (.pth) of such weights or of those of its authors
+    (raft-things.pth, raft-small.pth)."""
     depth_anything: str = "depth-anything/Depth-Anything-V2-Small-hf"
     """Depth Anything."""
     depth_pro: str = "apple/DepthPro-hf"
@@ -28,6 +29,8 @@ class ModelOptions:
     """SAM 2."""
     sam3: str = "facebook/sam3"
     """SAM 3."""
+    edgetam: str = "yonigozlan/EdgeTAM-hf"
+    """EdgeTAM."""
 
 
 def network_device(name: str) -> torch.device:
@@ -37,12 +40,13 @@ def network_device(name: str) -> torch.device:
     return torch.device(name)
 
 
-def require_package(module: str, option: str, instead: str) -> Any:
+def require_package(module: str, option: str, instead: str, install: str = "") -> Any:
     """Import a package of the extra ``learned``.
 
     Args:
         option: what the user chose, as it is typed.
         instead: what to type to do without.
+        install: what to type for a package that the extra does not bring.
 
     Raises:
         InputError: it is not installed, or does not work with this PyTorch.
@@ -52,7 +56,7 @@ def require_package(module: str, option: str, instead: str) -> Any:
     except Exception as error:  # missing: ImportError; built for another PyTorch: RuntimeError, OSError
         raise InputError(
             f"{option} needs {module}, which cannot be imported ({first_line(error)}): "
-            f"{describe_install('learned')}, or do without: {instead}."
+            f"{install or describe_install('learned')}, or do without: {instead}."
         ) from error
 
 
