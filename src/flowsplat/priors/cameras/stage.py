@@ -20,6 +20,7 @@ from flowsplat.priors.cameras.pieces import find_breaks, join, split
 from flowsplat.priors.cameras.solvers import Solved, solve
 from flowsplat.priors.cameras.still import stands_still
 from flowsplat.scenes import Scene
+from flowsplat.scenes.overlay import look_up_mask
 from flowsplat.scenes.replacing import replace_images
 
 LENS_ROUNDS = 2
@@ -141,6 +142,9 @@ def _follow(scene: Scene) -> _Tracks:
     """Follow points through the clip, and cut it where nothing joins its frames."""
     unit = max(1.0, max(scene.width, scene.height) / WORKING_SIDE)
     followed, blank = follow_points(scene)
+    overlay = scene.overlay
+    if overlay is not None:
+        followed[look_up_mask(overlay, followed)] = np.nan
     shown = [t for t in range(scene.num_frames) if t not in set(blank)]
     pieces = split(shown, find_breaks(followed / unit, shown))
     positions = _off_objects(scene, followed) / unit
