@@ -14,7 +14,7 @@ from flowsplat.common.progress import progress_bar
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.spread import spread
 from flowsplat.images.sound import keep_sound
-from flowsplat.scenes.bars import cut_bars, find_content, sample_frames
+from flowsplat.scenes.bars import cut_bars, find_bars
 from flowsplat.scenes.clip import Clip, InputOptions
 from flowsplat.scenes.formats.davis import IMAGES, open_davis, sequence_folders
 from flowsplat.scenes.formats.images import IMAGE_SUFFIXES, is_animated, list_images, open_images
@@ -93,7 +93,7 @@ def open_clip(path: Path, options: InputOptions) -> Clip:
         raise InputError(f"--sequence {options.sequence} needs the root folder of DAVIS, which {path} is not.")
     if kind in ("video", "davis", "images"):
         clip = _open_uncalibrated(kind, path, options)
-        if options.crop == "auto" and find_content(sample_frames(clip)) is not None:
+        if options.crop == "auto" and find_bars(clip) is not None:
             return cut_bars(_open_uncalibrated(kind, path, replace(options, resize=0)), options)
         return clip
     if kind == "rig":
