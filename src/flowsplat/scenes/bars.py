@@ -1,7 +1,7 @@
 """Bars round what a clip shows (letterbox, pillarbox), black or blurred: found over its frames and cut off.
 
-A black bar is dark, of one color in all frames up to what coding adds, and it ends at the same row everywhere: where it ends, half of
-the width shows something in half of the frames. The black sky of a night does not end like that, and is kept.
+A black bar is dark, of one color in all frames up to what coding adds, and it ends at the same row everywhere: where it ends, half
+of the width shows something in half of the frames. The black sky of a night does not end like that, and is kept.
 
 Blurred bars have hardly any detail, end at one column in all frames, and are an enlarged copy of what lies between them or change
 along with it.
@@ -34,7 +34,8 @@ MIN_BAR_SHARE = 0.01
 MIN_BLURRED_SHARE, MAX_UNEVEN_SHARE = 0.05, 0.02
 """Share of the side of the image that each of two blurred bars has at least, and by which the two may differ. Chosen by eye."""
 MAX_BLURRED_DETAIL, MIN_SHARP_DETAIL = 0.4, 0.6
-"""Steps from column to column in a blurred bar at most, and where it ends at least, over those of the middle half. Chosen by eye."""
+"""Steps from column to column in a blurred bar at most, and where it ends at least, over those of the middle half. At .3 bars of
+light blurs are kept (4 of 42 instead of 3), at .4 no other clip passes (docs/given.md)."""
 BLURRED_RAMP = 3
 """Columns within which the one becomes the other: what coding smears. Chosen by eye."""
 COMPARED_BLUR = 0.03
@@ -43,8 +44,8 @@ is not known. Chosen by eye."""
 ENLARGEMENTS = (1.0, 1.25, 1.5)
 """By how much more than to fill the image the copy may be enlarged. Chosen by eye."""
 MIN_COPY_CORRELATION = 0.85
-"""Correlation of blurred bars with the copy, in the median frame: .96 to 1 of bars made of bear, lucia and workshop, .2 to .7 of other
-images."""
+"""Correlation of blurred bars with the copy, in the median frame: .96 to 1 of bars made of bear, lucia and workshop, .2 to .7 of
+other images."""
 MIN_BAR_CHANGE, MIN_CHANGE_RATIO = 3.0, 0.25
 """Gray levels by which blurred bars change over the clip (standard deviation of a pixel), and that over the change of the middle
 under the same blur, which is .4 to 2.4 there."""

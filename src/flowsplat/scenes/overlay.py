@@ -41,6 +41,9 @@ MIN_BESIDE, MAX_BESIDE_SHARE, STAYING = 0.05, 0.15, 0.8
 their length. Chosen by eye."""
 MAX_AREA_SHARE = 0.2
 """Share of the image that one thing may cover. Chosen by eye."""
+LETTER_GAP, MAX_LETTER_DRIFT = 6, 0.6
+"""Halves of ``JOIN_SHARE`` within which something belongs to a thing that tells, and pixels by which it may drift: what shows
+through half-transparent letters makes more of a difference to a few of them. Chosen by eye."""
 RIM_PIXELS = 2
 """Pixels by which what was found is widened: half-transparent rims, and what coding smears. Chosen by eye."""
 
@@ -65,20 +68,25 @@ def find_overlay(images: Iterable[np.ndarray]) -> np.ndarray | None:
     if fixed.sum() < MIN_EDGE_PIXELS or not others.any() or np.median(share[others]) > MAX_STILL_SHARE:
         return None
     reach = max(2, round(JOIN_SHARE * max(fixed.shape) / 2))
-    found = np.zeros(fixed.shape, np.uint8)
+    found, small = np.zeros((2, *fixed.shape), np.uint8)  # things that tell, and what may be a letter beside one
     _, numbers, boxes, _ = cv2.connectedComponentsWithStats(_widen(fixed, reach))
     for number, (left, top, width, height, _) in list(enumerate(boxes))[1:]:
         around = slice(max(0, top - reach), top + height + reach), slice(max(0, left - reach), left + width + reach)
         thing = fixed[around] & (numbers[around] == number)
         beside = _widen(thing, 2 * reach).astype(bool) & ~_widen(thing, RIM_PIXELS).astype(bool)
+        drift, crosses = _measure_drift(grays[(slice(None), *around)], along[around], down[around], thing)
         if (
-            thing.sum() >= MIN_EDGE_PIXELS
+            drift <= MAX_LETTER_DRIFT
             and width * height <= MAX_AREA_SHARE * fixed.size
             and _moves(share[around], others[around], beside)
-            and _stays(grays[(slice(None), *around)], along[around], down[around], thing)
         ):
-            found[around] |= _fill(thing & (share[around] > SURE_SHARE), reach)
-    return found.astype(bool) if found.any() else None
+            tells = drift <= MAX_DRIFT and thing.sum() >= MIN_EDGE_PIXELS and crosses >= MIN_CROSS_EDGES
+            (found if tells else small)[around] |= _fill(thing & (share[around] > SURE_SHARE), reach)
+    if not found.any():
+        return None
+    _, numbers = cv2.connectedComponents(found | small)
+    near = np.unique(numbers[(_widen(found, LETTER_GAP * reach) > 0) & (small > 0)])
+    return (found > 0) | np.isin(numbers, near[near > 0])
 
 
 def _mean_gradients(grays: np.ndarray) -> np.ndarray:
@@ -101,19 +109,17 @@ def _moves(share: np.ndarray, others: np.ndarray, beside: np.ndarray) -> bool:
     return bool(seen.sum() >= MIN_BESIDE * beside.sum() and (share[seen] > STAYING).mean() <= MAX_BESIDE_SHARE)
 
 
-def _stays(grays: np.ndarray, along: np.ndarray, down: np.ndarray, thing: np.ndarray) -> bool:
-    """Return whether the edges of a thing have two directions and stay where they are in all frames.
+def _measure_drift(grays: np.ndarray, along: np.ndarray, down: np.ndarray, thing: np.ndarray) -> tuple[float, float]:
+    """Return by how many pixels the edges of a thing shift at most in a frame, and how strong they are across over along it.
 
-    The shift of a frame is what explains its difference from the mean image best, to first order.
+    The shift is what explains the difference from the mean image best, to first order; edges of one direction tell it across them.
     """
     gradient = np.stack([along[thing], down[thing]], 1).astype(np.float64)
     normal = gradient.T @ gradient
     weaker, stronger = np.linalg.eigvalsh(normal)
-    if weaker < MIN_CROSS_EDGES * stronger:
-        return False
     levels = grays[:, thing].astype(np.float64)
-    shifts = np.linalg.solve(normal, gradient.T @ (levels - levels.mean(0)).T)
-    return bool(np.abs(shifts).max() <= MAX_DRIFT)
+    shifts = np.linalg.pinv(normal, rcond=MIN_CROSS_EDGES, hermitian=True) @ gradient.T @ (levels - levels.mean(0)).T
+    return float(np.abs(shifts).max()), float(weaker / max(stronger, 1e-9))
 
 
 def _fill(edges: np.ndarray, reach: int) -> np.ndarray:

@@ -306,7 +306,12 @@ class Scene(Layers):
     @property
     def overlay(self) -> np.ndarray | None:
         """[H, W] bool: pixels of a logo, clock or watermark, which show nothing of the scene; None where there are none."""
-        return read_image(self._overlay_path, (self.width, self.height)) > 0 if self._overlay_path.exists() else None
+        if not self._overlay_path.exists():
+            return None
+        mask = read_image(self._overlay_path, (self.width, self.height))
+        if mask.shape != (self.height, self.width):
+            raise InputError(f"{self._overlay_path} is in color, but a mask is expected.")
+        return mask > 0
 
     def overlay_frame(self, i: int) -> np.ndarray | None:
         """Return RGB [H, W, 3] uint8 of what is burnt into any frame, black elsewhere; None where it is not known.
@@ -314,7 +319,12 @@ class Scene(Layers):
         It shows nothing of the scene, so the split does not guard it.
         """
         path = self._overlay_path.with_name(f"{i:05d}.png")
-        return read_image(path, (self.width, self.height)) if path.exists() else None
+        if not path.exists():
+            return None
+        image = read_image(path, (self.width, self.height))
+        if image.shape != (self.height, self.width, 3):
+            raise InputError(f"{path} is no image in color.")
+        return image
 
     def write_overlay_frame(self, i: int, image: np.ndarray) -> None:
         """Keep RGB [H, W, 3] uint8 of what is burnt into frame ``i``, black elsewhere."""
