@@ -10,8 +10,8 @@ A scene is a folder. ``scene.json`` says what it is; the layers (see ``layers``)
     truth/cameras.json  truth/depth/ ...
 
 The split is law: what trains or computes a prior calls ``frame``, ``mask``, ``depth`` and ``flow``, which refuse held-out
-frames. Only the camera stage calls ``any_frame``; ``heldout_frame`` is for the evaluation, the report, the viewer, and the final
-fit after all of them.
+frames. Only ``ingest`` and the camera stage call ``any_frame``; ``heldout_frame`` is for the evaluation, the report, the viewer,
+and the final fit after all of them.
 
 What is burnt into the clip (``overlay``) is part of no layer: the ``write_*`` methods see to that, whoever computed the layer. In
 the frames it is filled smoothly from around it, so that nobody finds edges there, and what was filled counts for nothing either.
@@ -280,7 +280,7 @@ class Scene(Layers):
         return self._frame_path(i).exists()
 
     def any_frame(self, i: int) -> np.ndarray:
-        """Return RGB [H, W, 3] uint8 of any frame. For the camera stage only."""
+        """Return RGB [H, W, 3] uint8 of any frame. For the camera stage, and for ``ingest``, which writes them."""
         image = read_image(self._frame_path(i), (self.width, self.height))
         if image.shape != (self.height, self.width, 3):
             raise InputError(f"{self._frame_path(i)} has shape {image.shape}, expected {(self.height, self.width, 3)}.")
