@@ -105,6 +105,10 @@ def make_originals(root: Path) -> None:
 def _run(folder: Path) -> None:
     RunFolder.open_or_create(folder, "clip.mp4", "0" * 16, RunConfig())
     scene = write_synthetic(folder / "scene", SPEC, holdout=3)
+    overlay = np.zeros((scene.height, scene.width), bool)
+    overlay[2:6, 2:9] = True
+    scene.write_overlay(overlay)
+    scene.write_overlay_frame(0, np.where(overlay[..., None], scene.frame(0), 0))
     use_truth(scene)
     frames = len(scene.train_frames)
     points = ShapePoints(np.zeros(5, int), np.full((5, 2), 9.0), np.zeros(5), np.full(5, 0.1))
@@ -255,7 +259,7 @@ def _messages(folder: Path) -> None:
 
 def _read_scene(folder: Path) -> None:
     scene = Scene(folder / "scene")
-    _ = scene.similarity, scene.cameras, scene.views, scene.sound, scene.times
+    _ = scene.similarity, scene.cameras, scene.views, scene.sound, scene.times, scene.overlay, scene.overlay_frame(0)
     for i in scene.train_frames:
         scene.frame(i), scene.depth(i), scene.mask(i)
     for i in scene.heldout_frames:
@@ -391,6 +395,7 @@ READERS = (
     Reader("depth of a scene", "run", ("scene/depth/*",), _read_scene),
     Reader("flow of a scene", "run", ("scene/flow/*",), _read_flow_of_scene),
     Reader("images of a scene", "run", tuple(f"scene/{n}/*" for n in ("frames", "masks", "heldout/*", "views")), _read_scene),
+    Reader("what is burnt in", "run", ("scene/overlay/*",), _read_scene),
     Reader("model", "run", ("model/*",), _read_model),
     Reader("checkpoint to look at", "training", ("training/*",), _read_checkpoint),
     Reader("checkpoint to go on from", "training", ("training/*",), _train_on),

@@ -20,7 +20,7 @@ from flowsplat.training.config import PRESETS, TrainConfig
 from flowsplat.training.trainer import Trainer, _spread_order
 from flowsplat.training.weight_averaging import AVERAGE_STRIDE, TailAverage
 from flowsplat_benchmarks.ablations.variants import change_settings
-from tests.training.handful import a_few, seen, tiny
+from tests.training.handful import HEIGHT, WIDTH, a_few, seen, tiny
 
 
 def test_the_first_step_is_as_long_as_the_learning_rate_says():
@@ -357,3 +357,17 @@ def test_a_checkpoint_whose_history_lacks_a_figure_goes_on(tmp_path):
     again = Trainer(seen(start), None, config, tmp_path, start=start)
     again.run()
     assert math.isfinite(again.history[-1]["depth"])
+
+
+def test_what_is_burnt_in_has_no_loss_and_no_gradient(tmp_path):
+    """Where all is covered, color says nothing, and nobody learns from it."""
+    config = tiny("default")
+    config = replace(config, iterations=1, loss=replace(config.loss, flow=0, depth=0, rigid=0, coverage=0), average=0)
+    observations, color, learned = seen(a_few(config)), {}, {}
+    for name, covered in (("none", None), ("half", np.arange(WIDTH) < WIDTH // 2), ("all", np.ones(WIDTH, bool))):
+        overlay = None if covered is None else np.tile(covered, (HEIGHT, 1))
+        training = Trainer(replace(observations, overlay=overlay), None, config, tmp_path / name, start=a_few(config))
+        after = training.run().params["sh"]
+        color[name], learned[name] = training.history[-1]["color"], float((after - a_few(config).params["sh"]).abs().max())
+    assert color["all"] < 1e-6 < color["half"] < color["none"]  # to rounding
+    assert learned["all"] == 0 < learned["half"]

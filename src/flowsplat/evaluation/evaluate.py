@@ -143,6 +143,7 @@ class _Evaluator:
     ):
         self._model, self._static_model = model, static_model
         self._scene, self._folder, self._baselines, self._refine = scene, folder, baselines, refine
+        self._overlay = scene.overlay
         self._lpips, reason = lpips_metric()
         self.lpips_reason = reason or None
 
@@ -158,7 +159,7 @@ class _Evaluator:
         if self._refine is not None:
             seconds = float(scene.timestamps[i])
             image = _finite(self._model.render(self._refine(camera, seconds, target), seconds)).color
-            figures["refined"] = score_image(image, target, regions, self._lpips)
+            figures["refined"] = score_image(image, target, regions, self._lpips, self._overlay)
         return figures
 
     def score_heldout_view(self, view: HeldoutView) -> Figures:
@@ -185,7 +186,7 @@ class _Evaluator:
     def score_training_frame(self, i: int, rendering: Rendering) -> Figures:
         """Score a training frame that was rendered already."""
         target = to_float(self._scene.frame(i))
-        figures = score_image(rendering.color, target, {"moving": read_object_mask(self._scene, i)}, self._lpips)
+        figures = score_image(rendering.color, target, {"moving": read_object_mask(self._scene, i)}, self._lpips, self._overlay)
         return {"kind": "training_frame", "name": f"{i:05d}", "frame": i, **figures, "baselines": {}}
 
     def render_with_flow(self, i: int, j: int | None) -> Rendering:
@@ -209,8 +210,10 @@ class _Evaluator:
             predictions = {**predictions, "static": _finite(self._static_model.render(camera, seconds)).color}
         if self._folder is not None:
             self._write(self._folder / subfolder, what["name"], image, target)
-        scores = {name: score_image(predicted, target, regions, self._lpips) for name, predicted in predictions.items()}
-        return {**what, **score_image(image, target, regions, self._lpips), "baselines": scores}
+        scores = {
+            name: score_image(predicted, target, regions, self._lpips, self._overlay) for name, predicted in predictions.items()
+        }
+        return {**what, **score_image(image, target, regions, self._lpips, self._overlay), "baselines": scores}
 
     def _write(self, folder: Path, name: str, image: np.ndarray, target: np.ndarray) -> None:
         write_image(folder / f"{name}.png", float_to_bytes(image))

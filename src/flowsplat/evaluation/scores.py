@@ -15,18 +15,27 @@ METRICS = ("psnr", "ssim", "lpips")
 
 
 def score_image(
-    image: np.ndarray, target: np.ndarray, regions: Mapping[str, np.ndarray | None], lpips: PerceptualMetric | None
+    image: np.ndarray,
+    target: np.ndarray,
+    regions: Mapping[str, np.ndarray | None],
+    lpips: PerceptualMetric | None,
+    overlay: np.ndarray | None = None,
 ) -> Figures:
     """``psnr``, ``ssim``, ``lpips`` of a float image [H, W, 3], and the same for every region.
 
     Args:
         regions: masks [H, W] bool by name; a region without a mask, or too small to measure, becomes None.
         lpips: the metric, or None where it cannot be measured. It looks at patches, so it has no value for a region.
+        overlay: [H, W] bool, what is burnt into the target: it is in no region, and both images have the same there.
     """
+    seen = None
+    if overlay is not None:
+        seen, image = ~overlay, np.where(overlay[..., None], target, image)
+        regions = {name: None if mask is None else mask & seen for name, mask in regions.items()}
     similarity = ssim_map(image, target)
     figures: Figures = {
-        "psnr": psnr(image, target),
-        "ssim": mean_inside(similarity),
+        "psnr": psnr(image, target, seen),
+        "ssim": mean_inside(similarity, seen),
         "lpips": None if lpips is None else lpips(image, target),
     }
     for name, mask in regions.items():

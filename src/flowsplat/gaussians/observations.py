@@ -52,10 +52,11 @@ class Observation:
 
 @dataclass(frozen=True)
 class Observations:
-    """All training frames, in order; and the similarity that normalized them."""
+    """All training frames, in order; the similarity that normalized them; and [H, W] bool what is burnt into them, if anything."""
 
     frames: list[Observation]
     similarity: Similarity
+    overlay: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -98,4 +99,4 @@ def load_observations(scene: Scene) -> Observations:
                 backward=partial(scene.read_stored_flow, i, before) if (i, before) in pairs else None,
             )
         )
-    return Observations(frames, similarity)
+    return Observations(frames, similarity, scene.overlay)

@@ -11,6 +11,7 @@ from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.flow import FlowEstimator, dis_estimator, forward_backward_confidence
 from flowsplat.scenes import Flow, Scene
 from flowsplat.scenes.layers import Layers
+from flowsplat.scenes.overlay import hide_overlay
 
 
 def heldout_flow(scene: Scene, layers: Layers, estimate: FlowEstimator = dis_estimator) -> None:
@@ -33,5 +34,5 @@ def heldout_flow(scene: Scene, layers: Layers, estimate: FlowEstimator = dis_est
         a, b = (scene.heldout_frame(t) if t in heldout else scene.frame(t) for t in (i, j))
         flows = {(i, j): estimate(a, b), (j, i): estimate(b, a)}
         for s, t in flows:
-            confidence = forward_backward_confidence(flows[s, t], flows[t, s])
+            confidence = hide_overlay(scene.overlay, flows[s, t], forward_backward_confidence(flows[s, t], flows[t, s]))
             layers.write_flow(Flow(s, t, flows[s, t], confidence if joined else np.zeros_like(confidence)))

@@ -58,7 +58,10 @@ class InputOptions:
     sequence: str | None = None
     """Name of the sequence, where the input is the root folder of the DAVIS data set."""
     crop: Literal["auto", "off"] = "auto"
-    """Cut black bars round what videos and folders of images show (letterbox, pillarbox), or keep all."""
+    """Cut black or blurred bars round what videos and folders of images show (letterbox, pillarbox), or keep all."""
+    overlay: Literal["auto", "keep"] = "auto"
+    """Leave logos, clocks and watermarks, which stay on the screen while the camera moves, out of all that is measured and trained
+    (of videos and folders of images), or keep them as part of the scene."""
     fps: Annotated[float, Meta(ge=MIN_FPS, le=MAX_FPS)] = 24.0
     """Frames a second of a folder of images."""
     keep_all: bool = False

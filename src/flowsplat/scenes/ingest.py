@@ -14,7 +14,7 @@ from flowsplat.common.progress import progress_bar
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.spread import spread
 from flowsplat.images.sound import keep_sound
-from flowsplat.scenes.bars import cut_bars, find_content, sample_frames
+from flowsplat.scenes.bars import cut_bars, find_bars
 from flowsplat.scenes.clip import Clip, InputOptions
 from flowsplat.scenes.formats.davis import IMAGES, open_davis, sequence_folders
 from flowsplat.scenes.formats.images import IMAGE_SUFFIXES, is_animated, list_images, open_images
@@ -23,6 +23,7 @@ from flowsplat.scenes.formats.nerfies import is_nerfies, open_nerfies
 from flowsplat.scenes.formats.nvidia import RAW_IMAGES, TARGET, is_nvidia, open_nvidia, target_folder
 from flowsplat.scenes.formats.rig import open_rig
 from flowsplat.scenes.formats.video import VIDEO_SUFFIXES, open_video
+from flowsplat.scenes.overlay import COMPARED_FRAMES, fill_overlay, find_overlay
 from flowsplat.scenes.scene import Scene, split_frames
 
 __all__ = ["InputOptions", "fingerprint", "ingest", "kind_of_input", "open_clip"]
@@ -92,7 +93,7 @@ def open_clip(path: Path, options: InputOptions) -> Clip:
         raise InputError(f"--sequence {options.sequence} needs the root folder of DAVIS, which {path} is not.")
     if kind in ("video", "davis", "images"):
         clip = _open_uncalibrated(kind, path, options)
-        if options.crop == "auto" and find_content(sample_frames(clip)) is not None:
+        if options.crop == "auto" and find_bars(clip) is not None:
             return cut_bars(_open_uncalibrated(kind, path, replace(options, resize=0)), options)
         return clip
     if kind == "rig":
@@ -127,6 +128,7 @@ def ingest(clip: Clip, folder: Path, options: InputOptions) -> Scene:
     if scene.info.ingested:
         return scene
     _write_frames(clip, scene)
+    notes = _take_out_overlay(scene) if options.overlay == "auto" and clip.cameras is None and clip.truth is None else []
     if clip.has_masks:
         _write_masks(clip, scene)
     if clip.cameras is not None:
@@ -138,7 +140,7 @@ def ingest(clip: Clip, folder: Path, options: InputOptions) -> Scene:
     for image in clip.views():
         if image.view.name not in written:
             scene.write_view(image.view, image.image, image.mask, image.covisible)
-    scene.mark_ingested(_write_sound(clip, scene))
+    scene.mark_ingested(_write_sound(clip, scene), notes)
     return scene
 
 
@@ -171,6 +173,27 @@ def _write_frames(clip: Clip, scene: Scene) -> None:
         for i, image in zip(missing, clip.frames(missing), strict=True):
             scene.write_frame(i, image)
             bar.advance()
+
+
+def _take_out_overlay(scene: Scene) -> list[str]:
+    """Fill what is burnt into the frames, and return what is said of it. Stopped in between, the next call goes on."""
+    if scene.overlay is None:
+        compared = [scene.train_frames[k] for k in spread(len(scene.train_frames), COMPARED_FRAMES)]
+        found = find_overlay(scene.frame(i) for i in compared)
+        if found is None:
+            return []
+        scene.write_overlay(found)
+    overlay = scene.overlay
+    assert overlay is not None
+    for i in range(scene.num_frames):
+        image = scene.any_frame(i)
+        if scene.overlay_frame(i) is None:
+            scene.write_overlay_frame(i, np.where(overlay[..., None], image, 0))
+        scene.write_frame(i, fill_overlay(image, overlay))
+    return [
+        f"Something stays on the screen while the camera moves (a logo, a clock), on {overlay.mean():.1%} of the image: it is left "
+        "out of all that is measured and trained (--overlay keep takes it as part of the scene)."
+    ]
 
 
 def _write_sound(clip: Clip, scene: Scene) -> str | None:

@@ -14,7 +14,7 @@ from flowsplat.common.progress import track
 from flowsplat.scenes.layers import read_image, write_image
 from flowsplat.scenes.scene import Scene
 
-FOLDERS = ("frames", "heldout/frames", "masks", "heldout/masks")
+FOLDERS = ("frames", "heldout/frames", "masks", "heldout/masks", "overlay")
 NEW_IMAGES = "replaced"
 """Folder of the new images until all of them are there."""
 

@@ -5,12 +5,16 @@ A scene is a folder. ``scene.json`` says what it is; the layers (see ``layers``)
 
     scene.json  frames/00000.png  cameras.json  depth/ flow/ masks/ tracks.npz
     heldout/frames/00009.png  heldout/masks/00009.png
+    overlay/mask.png  overlay/00000.png
     views.json  views/<name>.png  views/<name>_mask.png  views/<name>_covisible.png
     truth/cameras.json  truth/depth/ ...
 
 The split is law: what trains or computes a prior calls ``frame``, ``mask``, ``depth`` and ``flow``, which refuse held-out
-frames. Only the camera stage calls ``any_frame``; ``heldout_frame`` is for the evaluation, the report, the viewer, and the final
-fit after all of them.
+frames. Only ``ingest`` and the camera stage call ``any_frame``; ``heldout_frame`` is for the evaluation, the report, the viewer,
+and the final fit after all of them.
+
+What is burnt into the clip (``overlay``) is part of no layer: the ``write_*`` methods see to that, whoever computed the layer. In
+the frames it is filled smoothly from around it, so that nobody finds edges there, and what was filled counts for nothing either.
 """
 
 from __future__ import annotations
@@ -32,6 +36,7 @@ from flowsplat.geometry.lens import Lens
 from flowsplat.images.html import format_facts
 from flowsplat.scenes.info import SceneInfo
 from flowsplat.scenes.layers import CameraFile, Depth, Flow, Layers, StoredFlow, Tracks, read_image, write_image
+from flowsplat.scenes.overlay import hide_overlay, look_up_mask
 
 VERSION = 1
 
@@ -190,13 +195,15 @@ class Scene(Layers):
         self._info = replace(self._info, **changes)
         write_json(self.folder / "scene.json", self._info.to_json())
 
-    def mark_ingested(self, sound: str | None = None) -> None:
+    def mark_ingested(self, sound: str | None = None, notes: Sequence[str] = ()) -> None:
         """Note that everything of the input is here.
 
         Args:
             sound: the name of the file in the folder with the sound of the clip, from its first frame on.
+            notes: what more was done to the input, in sentences for the user.
         """
-        self._change(ingested=True, **({} if sound is None else {"audio": sound, "audio_start": 0.0}))
+        changes = {} if sound is None else {"audio": sound, "audio_start": 0.0}
+        self._change(ingested=True, notes=[*self._info.notes, *notes], **changes)
 
     def mark_oracle(self, name: str, identity: Mapping[str, Any]) -> None:
         """Note that this copy of a scene gets true priors in the place of some of its own.
@@ -291,7 +298,7 @@ class Scene(Layers):
         return self._frame_path(i).exists()
 
     def any_frame(self, i: int) -> np.ndarray:
-        """Return RGB [H, W, 3] uint8 of any frame. For the camera stage only."""
+        """Return RGB [H, W, 3] uint8 of any frame. For the camera stage, and for ``ingest``, which writes them."""
         image = read_image(self._frame_path(i), (self.width, self.height))
         if image.shape != (self.height, self.width, 3):
             raise InputError(f"{self._frame_path(i)} has shape {image.shape}, expected {(self.height, self.width, 3)}.")
@@ -307,6 +314,43 @@ class Scene(Layers):
         if i in self._train:
             raise SplitError(f"frame {i} is a training frame")
         return self.any_frame(i)
+
+    # -- what is burnt in
+
+    @property
+    def _overlay_path(self) -> Path:
+        return self.folder / "overlay" / "mask.png"
+
+    @property
+    def overlay(self) -> np.ndarray | None:
+        """[H, W] bool: pixels of a logo, clock or watermark, which show nothing of the scene; None where there are none."""
+        if not self._overlay_path.exists():
+            return None
+        mask = read_image(self._overlay_path, (self.width, self.height))
+        if mask.shape != (self.height, self.width):
+            raise InputError(f"{self._overlay_path} is in color, but a mask is expected.")
+        return mask > 0
+
+    def overlay_frame(self, i: int) -> np.ndarray | None:
+        """Return RGB [H, W, 3] uint8 of what is burnt into any frame, black elsewhere; None where it is not known.
+
+        It shows nothing of the scene, so the split does not guard it.
+        """
+        path = self._overlay_path.with_name(f"{i:05d}.png")
+        if not path.exists():
+            return None
+        image = read_image(path, (self.width, self.height))
+        if image.shape != (self.height, self.width, 3):
+            raise InputError(f"{path} is no image in color.")
+        return image
+
+    def write_overlay_frame(self, i: int, image: np.ndarray) -> None:
+        """Keep RGB [H, W, 3] uint8 of what is burnt into frame ``i``, black elsewhere."""
+        write_image(self._overlay_path.with_name(f"{i:05d}.png"), image)
+
+    def write_overlay(self, overlay: np.ndarray) -> None:
+        """Note which pixels [H, W] bool are burnt in; layers that are written before are not changed."""
+        write_image(self._overlay_path, overlay.astype(np.uint8) * 255)
 
     # -- layers, guarded by the split
 
@@ -336,19 +380,25 @@ class Scene(Layers):
 
     def write_depth(self, i: int, depth: Depth) -> None:
         self._require_training(i)
-        super().write_depth(i, depth)
+        overlay = self.overlay
+        super().write_depth(i, depth if overlay is None else replace(depth, confidence=np.where(overlay, 0, depth.confidence)))
 
     def write_flow(self, flow: Flow) -> None:
         self._require_training(flow.i, flow.j)
-        super().write_flow(flow)
+        super().write_flow(replace(flow, confidence=hide_overlay(self.overlay, flow.flow, flow.confidence)))
 
     def write_mask(self, i: int, mask: np.ndarray) -> None:
         self._require_training(i)
-        super().write_mask(i, mask)
+        overlay = self.overlay
+        super().write_mask(i, mask if overlay is None else np.where(overlay, 0, mask))
 
     def write_tracks(self, tracks: Tracks) -> None:
         if tracks.visible[:, self.heldout_frames].any():
             raise SplitError("tracks are visible in held-out frames")
+        overlay = self.overlay
+        if overlay is not None:
+            seen = tracks.visible & ~look_up_mask(overlay, tracks.points)
+            tracks = replace(tracks, visible=seen, confidence=np.where(seen, tracks.confidence, 0))
         super().write_tracks(tracks)
 
     @property

@@ -69,7 +69,7 @@ def with_heldout(observations: Observations, scene: Scene, layers: Layers) -> Ob
             backward=None,
         )
         frames.append(replace(frame, forward=flow(i, i + 1), backward=None))
-    return Observations(frames, observations.similarity)
+    return Observations(frames, observations.similarity, observations.overlay)
 
 
 def final_visits(scene: Scene) -> list[int]:

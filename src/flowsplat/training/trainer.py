@@ -6,6 +6,7 @@ import functools
 import math
 import time as clock
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -320,6 +321,7 @@ class Trainer:
         )
         if config.density.gradient > 0:
             rendered.projected.means2d.retain_grad()
+        rendered = self._lay_over(rendered, targets)
         total, figures = photometric_loss(rendered.image, rendered.alpha, rendered.flow_channels, targets, self._weights)
         rigid = self._rigid(active, rendered) if config.loss.rigid > 0 else None
         if rigid is not None:
@@ -338,6 +340,16 @@ class Trainer:
             "psnr": _psnr(figures.squared_error),
         }
         return rendered, gradients, entry
+
+    def _lay_over(self, rendered: RenderedFrame, targets: PhotometricTargets) -> RenderedFrame:
+        """Return what was rendered with the colors of the frame where something is burnt in: no loss, no gradient, and no window of
+        SSIM that reaches across compares what the scene has there."""
+        if self.observations.overlay is None:
+            return rendered
+        image = rendered.image
+        overlay = upload(torch.from_numpy(self.observations.overlay), image.device)
+        target = torch.as_tensor(targets.color, device=image.device).to(image.dtype) / 255
+        return replace(rendered, image=torch.cat([torch.where(overlay[..., None], target, image[..., :3]), image[..., 3:]], -1))
 
     @property
     def _revises(self) -> bool:

@@ -68,7 +68,9 @@ class HeldoutImages:
         model = scene_model(self._scene, gaussians, config)
         found: dict[str, list[float]] = {"all": [], "moving": []}
         for camera, seconds, target, mask in self._tests:
-            scores = score_image(model.render(camera, seconds).color, target / np.float32(255), {"moving": mask}, None)
+            scores = score_image(
+                model.render(camera, seconds).color, target / np.float32(255), {"moving": mask}, None, self._scene.overlay
+            )
             found["all"].append(scores["psnr"])
             if scores["moving"] is not None:
                 found["moving"].append(scores["moving"]["psnr"])

@@ -307,3 +307,19 @@ def test_a_damaged_record_of_videos_is_refused(tmp_path, record):
     write_json(tmp_path / "renders.json", record)
     with pytest.raises(InputError, match=r"renders\.json"):
         list_rendered(tmp_path)
+
+
+def test_what_is_burnt_in_is_laid_over_the_path_of_the_clip_alone(tmp_path):
+    folder = tiny_run(tmp_path / "out", objects=3)
+    model, scene = load_model(folder / "model"), Scene(folder / "scene")
+    overlay = np.zeros((scene.height, scene.width), bool)
+    overlay[4:12, 4:20] = True
+    scene.write_overlay(overlay)
+    for i in range(scene.num_frames):
+        scene.write_overlay_frame(i, np.where(overlay[..., None], np.uint8([0, 20 * i, 255]), 0))
+    render_videos(model, scene, tmp_path, RenderOptions(paths=("input", "stabilized"), parts=("all", "background")))
+    for i, frame in enumerate(frames_of(tmp_path / "input_path_color.mp4")):
+        assert np.abs(frame[6:10, 7:17].mean((0, 1)) - [0, 20 * i, 255]).max() < 25
+        assert frame[20:, :, 2].min() < 200
+    for name in ("stabilized_color", "input_path_background_color"):
+        assert all(frame[6:10, 7:17, 2].mean() < 230 for frame in frames_of(tmp_path / f"{name}.mp4"))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 
 from flowsplat.common.errors import InputError
@@ -45,6 +46,7 @@ class VideoPlan:
         convergence: planar depth that both eyes see in the same place.
         audio_from: where the sound comes from.
         audio_start: its second that belongs to the first frame.
+        burnt_in: the scene whose logos and clocks are laid over it again, where it shows the clip as it came.
     """
 
     name: str
@@ -56,6 +58,18 @@ class VideoPlan:
     convergence: float = 1.0
     audio_from: Path | None = None
     audio_start: float = 0.0
+    burnt_in: Scene | None = None
+
+    def lay_over(self, color: np.ndarray, t: float) -> np.ndarray:
+        """Return a rendered RGB image [H, W, 3] uint8 with what was burnt into the frame nearest to second ``t``."""
+        scene = self.burnt_in
+        overlay = None if scene is None else scene.overlay
+        burnt_in = None if scene is None else scene.overlay_frame(int(np.argmin(np.abs(scene.timestamps - t))))
+        if overlay is None or burnt_in is None:
+            return color
+        size = color.shape[1], color.shape[0]
+        covers = cv2.resize(overlay.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        return np.where(covers[..., None], cv2.resize(burnt_in, size, interpolation=cv2.INTER_AREA), color)
 
     @property
     def files(self) -> list[str]:
@@ -68,7 +82,8 @@ class VideoPlan:
         """Return all that the video depends on, the model excepted."""
         views = [[camera.to_json(), t] for camera, t in self.shots]
         look = [self.kind, self.part, self.eye_distance, self.convergence]
-        return [views, self.fps, look, self.audio_from and self.audio_from.name, self.audio_start]
+        burnt_in = [] if self.burnt_in is None else ["burnt in"]
+        return [views, self.fps, look, self.audio_from and self.audio_from.name, self.audio_start, *burnt_in]
 
 
 def plan_videos(model: PartedRenderer, scene: Scene, options: RenderOptions) -> list[VideoPlan]:
@@ -109,7 +124,7 @@ def _versions(plan: VideoPlan, part: Part, scene: Scene, options: RenderOptions)
         suffix = "_distance" + "".join(f"_{number}x{factor:g}" for number, factor in factors.items()) + suffix
     if options.confidence_fade:
         suffix = "_confidence_fade" + suffix
-    shown = replace(plan, part=part, name=plan.name + suffix)
+    shown = replace(plan, part=part, name=plan.name + suffix, burnt_in=plan.burnt_in if part == "all" else None)
     transparent = part.startswith("objects") and plan.kind == "panels"
     yield replace(shown, kind="alpha", audio_from=None) if transparent else shown
     if options.stereo and plan.kind == "panels":
@@ -133,7 +148,8 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
     amplitudes = Amplitudes(model, scene, options.orbit_angle)
 
     if "input" in options.paths:
-        yield VideoPlan(f"input_path{tempo}", along, fps, audio_from=sound, audio_start=start)
+        burnt_in = None if scene.overlay is None else scene
+        yield VideoPlan(f"input_path{tempo}", along, fps, audio_from=sound, audio_start=start, burnt_in=burnt_in)
     if "stabilized" in options.paths:
         shots, share = stabilize(model, along, options.stabilize / step)
         report(f"The stabilized path shows {share:.0%} of the width and height of the clip.")

@@ -89,7 +89,7 @@ def _write_panels(model: Renderer, plan: VideoPlan, scales: Scales, panels_path:
 
     def sheet(k: int) -> tuple[np.ndarray, np.ndarray]:
         image, flow, depth = look(model, plan.shots, k)
-        color = float_to_bytes(image)
+        color = plan.lay_over(float_to_bytes(image), plan.shots[k][1])
         panels = [color, flow_to_color(flow, scales.flow), depth_to_color(depth, scales.near, scales.far)]
         return side_by_side(panels, ["color", "flow", "depth"], height), color
 

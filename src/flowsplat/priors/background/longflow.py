@@ -11,6 +11,7 @@ import numpy as np
 from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.flow import FlowEstimator, compose, dis_estimator, forward_backward_confidence
 from flowsplat.scenes import Scene
+from flowsplat.scenes.overlay import hide_overlay
 
 FLOW_STRIDES = (1, 2, 4, 8, 16)
 """Steps between training frames, each twice the one before (docs/method.md, "Flow, masks and depth")."""
@@ -31,6 +32,7 @@ class LongFlows:
     def __init__(self, scene: Scene, continuity: Continuity, estimate: FlowEstimator = dis_estimator):
         self._scene, self._continuity, self._estimate = scene, continuity, estimate
         self._width, self._height = compute_working_size(scene)
+        self._overlay = scene.overlay
         self._flows: dict[tuple[int, int], np.ndarray] = {}
         self._frames: dict[int, np.ndarray] = {}
         self._turns: defaultdict[tuple[int, int], threading.Lock] = defaultdict(threading.Lock)
@@ -50,7 +52,7 @@ class LongFlows:
     def matches(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
         """Return (flow [h, w, 2], confidence [h, w]) from ``a`` to ``b``, which are a stride apart, in working pixels."""
         forward = self._flow(a, b)
-        confidence = forward_backward_confidence(forward, self._flow(b, a))
+        confidence = hide_overlay(self._overlay, forward, forward_backward_confidence(forward, self._flow(b, a)))
         if abs(a - b) == 1 and (self._scene.prior("flow") or {}).get("method") == "given":
             # Other people's flow may be 0 where they know none, both ways: the round trip cannot tell.
             frames = self._scene.train_frames

@@ -21,6 +21,7 @@ from flowsplat.priors.cameras.solvers import Solved, solve
 from flowsplat.priors.cameras.still import stands_still
 from flowsplat.priors.cameras.straightening import describe_lens, require_lens_in_images, resume_straightening
 from flowsplat.scenes import Scene
+from flowsplat.scenes.overlay import look_up_mask
 
 LENS_ROUNDS = 2
 """How often the lens is estimated, each time with the cameras that the one before allowed. Chosen by eye."""
@@ -143,6 +144,9 @@ def _follow(scene: Scene) -> _Tracks:
     """Follow points through the clip, and cut it where nothing joins its frames."""
     unit = max(1.0, max(scene.width, scene.height) / WORKING_SIDE)
     followed, blank = follow_points(scene)
+    overlay = scene.overlay
+    if overlay is not None:
+        followed[look_up_mask(overlay, followed)] = np.nan
     shown = [t for t in range(scene.num_frames) if t not in set(blank)]
     pieces = split(shown, find_breaks(followed / unit, shown))
     positions = _off_objects(scene, followed) / unit

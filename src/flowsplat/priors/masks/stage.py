@@ -127,9 +127,13 @@ def compare_plates(clip: MatchedClip, motion: list[np.ndarray]) -> Iterator[tupl
     scene = clip.scene
     side = 2 * max(1, round(BLOCKED_MARGIN * max(scene.width, scene.height) / 2)) + 1
     masks = [cv2.dilate(scene.mask(i), np.ones((side, side), np.uint8)) > 0 for i in scene.train_frames]
-    plate = CleanPlate(clip, static_depth(clip, True), np.stack(masks))
+    overlay = scene.overlay
+    blocked = np.stack(masks) if overlay is None else np.stack(masks) | overlay
+    plate = CleanPlate(clip, static_depth(clip, True), blocked)
     for k in track(range(len(clip)), "Clean plates"):
         found = plate.compare(k)
+        if overlay is not None:
+            found.similar[overlay] = -1
         yield found, enlarge(motion[k], found.similar)
 
 
