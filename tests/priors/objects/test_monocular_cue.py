@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
+from flowsplat.priors.background.monocular_maps import Monocular
 from flowsplat.priors.given import GivenPriors
 from flowsplat.priors.graph import PRIORS
 from flowsplat.priors.objects import load_objects
 from flowsplat.priors.objects.distance import Cue
-from flowsplat.priors.objects.monocular_cue import ERROR_RATIO, _area_errors
+from flowsplat.priors.objects.monocular_cue import ERROR_RATIO, MonocularDistances, _area_errors
 from flowsplat.priors.objects.solving import _distance
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.priors.prepare import prepare_priors
@@ -84,6 +85,38 @@ def test_a_bare_wall_does_not_tell_the_shift(scene: Scene, tmp_path: Path):
     for i in scene.train_frames:
         np.save(folder / f"{i:05d}.npy", 1 / scene.truth.depth(i).depth)
     assert not place(scene, given(folder, "disparity")).cues
+
+
+def test_what_runs_the_other_way_round_is_not_used():
+    measured = np.tile(np.linspace(1, 2, 60, dtype=np.float32), (40, 1))
+
+    class Clip:
+        median = 1.5
+
+        def __len__(self) -> int:
+            return 1
+
+    class Static:
+        def fill(self, k: int):
+            return measured, np.full_like(measured, 9.0)
+
+        def mask(self, k: int):
+            return np.zeros(measured.shape, np.uint8)
+
+    class Maps:
+        clip = Clip()
+        source = Monocular("a test", "a test", True, lambda i: (measured, measured))
+
+        def __init__(self, slope: float):
+            self._slope = slope
+
+        def small(self, k: int):
+            return (self._slope * measured + 5).astype(np.float32), np.ones_like(measured)
+
+    right, turned = (MonocularDistances(Maps(slope), Static())._fit(0) for slope in (2.0, -2.0))
+    assert turned is None
+    np.testing.assert_allclose(right.error, 0, atol=0.01)
+    assert right.line == pytest.approx((0.5, -2.5), abs=0.02)
 
 
 def test_what_is_wrong_where_nothing_moves_is_not_believed(scene: Scene, tmp_path: Path):

@@ -31,8 +31,9 @@ from flowsplat.scenes.layers import TRUSTED_CONFIDENCE
 MONOCULAR_ERROR_RATE = 0.1
 """Chance that monocular depth of an object has nothing to do with it, though that of what rests is right. Chosen by eye."""
 ERROR_RATIO = 1.5
-"""Error of what moves over that of what rests, to which the source is fitted. Stand-ins of 4 and 8 % (11 objects) have 1.4 and 1.7,
-two poor networks (6) 2.4 and 2.6: between them, nearer to what is worth having (docs/results.md, "Monocular depth as a cue")."""
+"""Error of what moves over that of what rests, to which the source is fitted. Chosen between stand-ins of 4 and 8 % (1.4 and 1.7,
+on workshop and two worlds below 900) and two poor networks (2.4 and 2.6, on workshop; docs/results.md, "Monocular depth as a
+cue")."""
 RIM = 2
 """Pixels of an object's rim that are left out: networks blur it. Chosen by eye."""
 MIN_COVERAGE = 0.5
@@ -82,14 +83,9 @@ class _Fit:
 
 
 class MonocularDistances:
-    """Monocular depth of the objects of a clip, frame by frame.
-
-    Attributes:
-        method: where it comes from.
-    """
+    """Monocular depth of the objects of a clip, frame by frame."""
 
     def __init__(self, maps: MonocularMaps, background: Background):
-        self.method = maps.source.method
         self._maps, self._background, self._told = maps, background, dict[int, Told]()
         self._every = max(1, len(maps.clip) // _STATISTICS_FRAMES)
 
@@ -155,7 +151,8 @@ class MonocularDistances:
         start = float(2 * x.min() - x.max()) if relative else 0.0  # of what has no zero of its own
         slope, rise = fit_line(y, x - start, y**-2, RELATIVE_SHIFT_SIGMA if relative else METRIC_SHIFT_SIGMA)
         spread, middle = float(x.std() * y.std()), float(np.median(y))
-        shared = float(((x - x.mean()) * (y - y.mean())).mean() / spread) ** 2 if spread > 0 else 0.0
+        correlation = float(((x - x.mean()) * (y - y.mean())).mean() / spread) if spread > 0 else 0.0
+        shared = max(correlation, 0.0) ** 2  # what runs the other way round tells nothing
         told = middle * (1 / shared - 1) if shared >= MIN_SHARED_VARIANCE else np.inf
         shift_sigma = min(told, np.inf if relative else METRIC_SHIFT_SIGMA * middle)
         if slope <= 0 or not np.isfinite(shift_sigma):
