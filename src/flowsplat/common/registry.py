@@ -1,0 +1,133 @@
+"""Registries: what there is of one kind, by name, for the command line, the viewer, the pages and the docs alike.
+
+A member is a module of the registry's folder, which nothing lists, or a module of another package, which names it in an entry
+point: ``[project.entry-points."flowsplat.losses"]`` with ``depth_order = "mine.depth_order"``. Either registers itself when it is
+imported.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import metadata
+from typing import Generic, TypeVar
+
+from flowsplat.common.errors import InputError, first_line
+from flowsplat.common.progress import report
+
+T = TypeVar("T")
+F = TypeVar("F")
+
+_NAME = re.compile(r"[a-z][a-z0-9]*([_-][a-z0-9]+)*")
+"""Names become options, keys of files, and parts of the names of files."""
+
+
+@dataclass(frozen=True)
+class Entry(Generic[T]):
+    """A member of a registry.
+
+    Attributes:
+        name: that settings and files know it by.
+        title: for a menu, a few words.
+        sentence: for the help and the docs, what it is.
+        value: what it does: a function, or whatever the registry holds.
+        place: in lists, small ones first; those of one place are in alphabetical order.
+    """
+
+    name: str
+    title: str
+    sentence: str
+    value: T
+    place: int = 1000
+
+
+class Registry(Generic[T]):
+    """All members of one kind; they are imported when somebody asks for them first.
+
+    Examples:
+        >>> CURVES: Registry[Callable[[float], float]] = Registry("curve")
+        >>> @CURVES.register("square", "Square", "Grows with the square.")
+        ... def square(x):
+        ...     return x * x
+        >>> CURVES["square"](3.0), CURVES.names()
+        (9.0, ('square',))
+    """
+
+    def __init__(self, what: str, package: str | None = None, group: str | None = None):
+        """``what``: one of its members is called; ``package``: whose modules are members; ``group``: of entry points."""
+        self.what = what
+        self._package, self._group = package, group
+        self._found: dict[str, Entry[T]] = {}
+        self._is_loaded = False
+
+    def add(self, entry: Entry[T]) -> None:
+        """Make a member known.
+
+        Raises:
+            ValueError: its name cannot be one, or another has it.
+        """
+        if not _NAME.fullmatch(entry.name):
+            raise ValueError(f"{entry.name!r} cannot be the name of a {self.what}: give small letters, digits, - and _.")
+        if entry.name in self._found:
+            raise ValueError(f"there is a {self.what} {entry.name!r} already.")
+        self._found[entry.name] = entry
+
+    def register(self, name: str, title: str, sentence: str, place: int = 1000) -> Callable[[F], F]:
+        """Decorate a member: see ``Entry``.
+
+        Raises:
+            ValueError: as ``add``.
+        """
+
+        def keep(value: F) -> F:
+            self.add(Entry(name, title, sentence, value, place))  # type: ignore[arg-type]
+            return value
+
+        return keep
+
+    def entries(self) -> tuple[Entry[T], ...]:
+        """Return all members in order. A package of others that cannot be loaded is named and left out."""
+        self._load()
+        return tuple(sorted(self._found.values(), key=lambda entry: (entry.place, entry.name)))
+
+    def names(self) -> tuple[str, ...]:
+        """Return the names of all members in order."""
+        return tuple(entry.name for entry in self.entries())
+
+    def entry(self, name: str) -> Entry[T]:
+        """Return the member of that name.
+
+        Raises:
+            InputError: there is none.
+        """
+        self._load()
+        if name not in self._found:
+            raise InputError(f"Unknown {self.what} {name!r}: choose one of {', '.join(self.names())}.")
+        return self._found[name]
+
+    def __getitem__(self, name: str) -> T:
+        """Return what the member of that name does; raises as ``entry``."""
+        return self.entry(name).value
+
+    def __contains__(self, name: object) -> bool:
+        self._load()
+        return name in self._found
+
+    def _load(self) -> None:
+        if self._is_loaded:
+            return
+        self._is_loaded = True
+        if self._package is not None:
+            for module in pkgutil.iter_modules(importlib.import_module(self._package).__path__):
+                importlib.import_module(f"{self._package}.{module.name}")
+        for point in metadata.entry_points(group=self._group) if self._group is not None else ():
+            before = dict(self._found)
+            try:
+                importlib.import_module(point.module)
+            except (Exception, SystemExit) as error:  # of somebody else: whatever it is, all else works
+                self._found = before
+                package = point.dist.name if point.dist is not None else point.value
+                report(f"The {self.what} {point.name} of package {package} is left out: {first_line(error)}")

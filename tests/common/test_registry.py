@@ -1,0 +1,82 @@
+"""Registries: what registers itself is found, by folder and by entry point, and what others break breaks nothing else."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.registry import Entry, Registry
+
+HEAD = "from registry_under_test import CURVES\n"
+
+
+@pytest.fixture
+def curves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A registry with a folder of two members, and a package beside it with as many entry points as are written into it."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "registry_under_test.py").write_text(
+        "from flowsplat.common.registry import Registry\n"
+        "CURVES = Registry('curve', 'curves_under_test', 'flowsplat.curves_under_test')\n"
+    )
+    folder = tmp_path / "curves_under_test"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("")
+    (folder / "one.py").write_text(HEAD + "@CURVES.register('line', 'Line', 'Is straight.')\ndef line(x):\n    return x\n")
+    (folder / "two.py").write_text(HEAD + "@CURVES.register('bend', 'Bend', 'Is not.', place=1)\ndef bend(x):\n    return -x\n")
+    info = tmp_path / "others-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: others\nVersion: 1.0\n")
+
+    def with_points(**modules: str):
+        lines = ["[flowsplat.curves_under_test]"]
+        for name, source in modules.items():
+            (tmp_path / f"others_{name}.py").write_text(source)
+            lines.append(f"{name} = others_{name}")
+        (info / "entry_points.txt").write_text("\n".join(lines))
+        from registry_under_test import CURVES  # type: ignore[import-not-found]
+
+        return CURVES
+
+    yield with_points
+    for name in [name for name in sys.modules if name.startswith(("registry_under", "curves_under", "others_"))]:
+        del sys.modules[name]
+
+
+def test_what_is_in_the_folder_and_what_others_add_is_there_in_order(curves):
+    found = curves(step=HEAD + "@CURVES.register('step', 'Step', 'Jumps.')\ndef step(x):\n    return x > 0\n")
+    assert found.names() == ("bend", "line", "step")
+    assert found["step"](2)
+    assert found.entry("line").sentence == "Is straight."
+    assert "bend" in found
+    assert "x" not in found
+
+
+def test_an_unknown_name_is_refused_with_those_that_there_are(curves):
+    with pytest.raises(InputError, match="Unknown curve 'curl': choose one of bend, line"):
+        curves()["curl"]
+
+
+@pytest.mark.parametrize(
+    ("source", "reason"),
+    [
+        ("raise OSError('no\\nsuch thing')", "no"),
+        ("import surely_not_there", "surely_not_there"),
+        (HEAD + "@CURVES.register('line', 'L', 'l')\ndef f(x): pass\n", "already"),
+        (HEAD + "@CURVES.register('half', 'L', 'l')\ndef f(x): pass\n1 / 0\n", "division"),
+        ("raise SystemExit(3)", "3"),
+    ],
+)
+def test_what_others_break_is_named_and_left_out(curves, source, reason, capsys):
+    found = curves(bad=source, good=HEAD + "@CURVES.register('step', 'Step', 'Jumps.')\ndef step(x):\n    return x > 0\n")
+    assert found.names() == ("bend", "line", "step")
+    assert found["line"](3) == 3
+    told = capsys.readouterr()
+    assert "curve bad of package others is left out" in told.out + told.err
+    assert reason in told.out + told.err
+
+
+@pytest.mark.parametrize("name", ["", "Line", "a b", "../up", "-x", "1st", "a--b", "a.b", "ä"])
+def test_names_that_could_be_no_option_are_refused(name):
+    with pytest.raises(ValueError, match="cannot be the name of a curve"):
+        Registry("curve").add(Entry(name, "", "", None))
