@@ -1,18 +1,22 @@
 """Registries: what registers itself is found, by folder and by entry point, and what others break breaks nothing else."""
 
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.registry import Entry, Registry
 
+Make = Callable[..., Registry[Any]]
+
 HEAD = "from registry_under_test import CURVES\n"
 
 
 @pytest.fixture
-def curves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def curves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Make]:
     """A registry with a folder of two members, and a package beside it with as many entry points as are written into it."""
     monkeypatch.syspath_prepend(str(tmp_path))
     (tmp_path / "registry_under_test.py").write_text(
@@ -28,7 +32,7 @@ def curves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: others\nVersion: 1.0\n")
 
-    def with_points(**modules: str):
+    def with_points(**modules: str) -> Registry[Any]:
         lines = ["[flowsplat.curves_under_test]"]
         for name, source in modules.items():
             (tmp_path / f"others_{name}.py").write_text(source)
@@ -36,14 +40,15 @@ def curves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         (info / "entry_points.txt").write_text("\n".join(lines))
         from registry_under_test import CURVES  # type: ignore[import-not-found]
 
-        return CURVES
+        found: Registry[Any] = CURVES
+        return found
 
     yield with_points
     for name in [name for name in sys.modules if name.startswith(("registry_under", "curves_under", "others_"))]:
         del sys.modules[name]
 
 
-def test_what_is_in_the_folder_and_what_others_add_is_there_in_order(curves):
+def test_what_is_in_the_folder_and_what_others_add_is_there_in_order(curves: Make) -> None:
     found = curves(step=HEAD + "@CURVES.register('step', 'Step', 'Jumps.')\ndef step(x):\n    return x > 0\n")
     assert found.names() == ("bend", "line", "step")
     assert found["step"](2)
@@ -52,7 +57,7 @@ def test_what_is_in_the_folder_and_what_others_add_is_there_in_order(curves):
     assert "x" not in found
 
 
-def test_an_unknown_name_is_refused_with_those_that_there_are(curves):
+def test_an_unknown_name_is_refused_with_those_that_there_are(curves: Make) -> None:
     with pytest.raises(InputError, match="Unknown curve 'curl': choose one of bend, line"):
         curves()["curl"]
 
@@ -67,7 +72,9 @@ def test_an_unknown_name_is_refused_with_those_that_there_are(curves):
         ("raise SystemExit(3)", "3"),
     ],
 )
-def test_what_others_break_is_named_and_left_out(curves, source, reason, capsys):
+def test_what_others_break_is_named_and_left_out(
+    curves: Make, source: str, reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     found = curves(bad=source, good=HEAD + "@CURVES.register('step', 'Step', 'Jumps.')\ndef step(x):\n    return x > 0\n")
     assert found.names() == ("bend", "line", "step")
     assert found["line"](3) == 3
@@ -77,6 +84,6 @@ def test_what_others_break_is_named_and_left_out(curves, source, reason, capsys)
 
 
 @pytest.mark.parametrize("name", ["", "Line", "a b", "../up", "-x", "1st", "a--b", "a.b", "ä"])
-def test_names_that_could_be_no_option_are_refused(name):
+def test_names_that_could_be_no_option_are_refused(name: str) -> None:
     with pytest.raises(ValueError, match="cannot be the name of a curve"):
-        Registry("curve").add(Entry(name, "", "", None))
+        Registry[None]("curve").add(Entry(name, "", "", None))
