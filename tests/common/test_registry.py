@@ -72,9 +72,7 @@ def test_an_unknown_name_is_refused_with_those_that_there_are(curves: Make) -> N
         ("raise SystemExit(3)", "3"),
     ],
 )
-def test_what_others_break_is_named_and_left_out(
-    curves: Make, source: str, reason: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_others_break_is_left_out(curves: Make, source: str, reason: str, capsys: pytest.CaptureFixture[str]) -> None:
     found = curves(bad=source, good=HEAD + "@CURVES.register('step', 'Step', 'Jumps.')\ndef step(x):\n    return x > 0\n")
     assert found.names() == ("bend", "line", "step")
     assert found["line"](3) == 3
