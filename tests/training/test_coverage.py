@@ -10,7 +10,7 @@ import torch
 
 from flowsplat.gaussians.observations import Observations
 from flowsplat.gaussians.render import FILLED_FROM, render
-from flowsplat.training.coverage import UNCOVERED_FROM, coverage_loss
+from flowsplat.training.losses.coverage import UNCOVERED_FROM, coverage_loss
 from flowsplat.training.trainer import Trainer
 from tests.training.handful import FRAMES, a_few, seen, tiny
 

@@ -68,9 +68,7 @@ def test_every_parameter_learns_at_the_rate_of_its_group(observations):
     config = settings(iterations=1)
     trainer = Trainer(observations, None, config)
     trainer.run()
-    rates = trainer.rates()
-    trainer.step = 0
-    rates = trainer.rates()
+    rates = trainer.rates.at(0, trainer.gaussians)
     share = config.rates.means_pixels / 20 / config.rates.means
     assert float(rates["log_radii"]) == pytest.approx(config.rates.scales)
     assert float(rates["log_lives"]) == pytest.approx(config.rates.log_lambdas)

@@ -14,10 +14,13 @@ from flowsplat.common.bounds import numbers
 from flowsplat.common.errors import InputError
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Similarity
-from flowsplat.training import trainer
+from flowsplat.training import state
 from flowsplat.training.checkpoint import load_checkpoint, load_model, read_tensors, save_model, write_tensors
 from flowsplat.training.config import PRESETS, TrainConfig
-from flowsplat.training.trainer import Trainer, _spread_order
+from flowsplat.training.frame_order import spread_order
+from flowsplat.training.strategies import STRATEGIES
+from flowsplat.training.strategies.default import DefaultStrategy
+from flowsplat.training.trainer import Trainer
 from flowsplat.training.weight_averaging import AVERAGE_STRIDE, TailAverage
 from flowsplat_benchmarks.ablations.variants import change_settings
 from tests.training.handful import HEIGHT, WIDTH, a_few, seen, tiny
@@ -63,7 +66,7 @@ def test_at_the_end_objects_still_learn_what_looks_good():
     config = replace(config, iterations=10, rates=replace(config.rates, moving=3.0, decay=0.1, moving_decay=0.5))
     trainer = Trainer(seen(a_few(config)), None, config, start=a_few(config))
     trainer.run()
-    still, moving = trainer.rates(), trainer.rates(moving=True)
+    still, moving = (trainer.rates.at(10, trainer.gaussians, moving=each) for each in (False, True))
     torch.testing.assert_close(still["log_scales"], torch.full((3,), 0.1 * config.rates.scales))
     torch.testing.assert_close(moving["log_scales"], torch.full((3,), 3 * 0.5 * config.rates.scales))
     torch.testing.assert_close(moving["means"], 3 * still["means"])
@@ -75,13 +78,13 @@ def test_the_result_is_the_mean_over_the_last_steps():
     mean = Trainer(seen(start), None, config, start=start.select(torch.arange(len(start)))).run()
     by_hand = []
 
-    class Watched(Trainer):
-        def _after_step(self, entry):
-            super()._after_step(entry)
-            if self.step in (3 * AVERAGE_STRIDE, 4 * AVERAGE_STRIDE, 5 * AVERAGE_STRIDE):
-                by_hand.append({name: value.clone() for name, value in self.gaussians.params.items()})
+    def look(state, step, figures):
+        if state.step in (3 * AVERAGE_STRIDE, 4 * AVERAGE_STRIDE, 5 * AVERAGE_STRIDE):
+            by_hand.append({name: value.clone() for name, value in state.gaussians.params.items()})
 
-    Watched(seen(start), None, replace(config, average=0.0), start=start.select(torch.arange(len(start)))).run()
+    watched = Trainer(seen(start), None, replace(config, average=0.0), start=start.select(torch.arange(len(start))))
+    watched.callbacks.append(look)
+    watched.run()
     for name, value in mean.params.items():
         torch.testing.assert_close(value, torch.stack([params[name] for params in by_hand]).mean(0))
     assert not torch.equal(mean.params["means"], by_hand[-1]["means"])
@@ -93,7 +96,7 @@ def test_a_mean_that_was_begun_goes_on_to_the_same_bits(tmp_path):
     whole = Trainer(seen(start), None, config, tmp_path, start=start.select(torch.arange(len(start)))).run()
     resumed = Trainer(seen(start), None, config, tmp_path)
     again = resumed.run()
-    assert resumed.step == 4 * AVERAGE_STRIDE
+    assert resumed.state.step == 4 * AVERAGE_STRIDE
     for name, value in whole.params.items():
         assert torch.equal(value, again.params[name]), name
 
@@ -169,16 +172,18 @@ def test_after_a_reset_the_next_gradient_alone_says_where_opacities_go(tmp_path)
     )
     observations, found = seen(a_few(config)), []
 
-    class Watched(Trainer):
-        def _apply(self, active, drawn, gradients):
-            before = self.gaussians.params["logit_opacities"].clone()
-            super()._apply(active, drawn, gradients)
-            step = (self.gaussians.params["logit_opacities"] - before)[active.rows]
-            found.append((self.step, step[drawn], gradients["logit_opacities"][drawn]))
+    trainer = Trainer(observations, None, config, tmp_path, start=a_few(config))
+    take_step = trainer._take_step
 
-    trainer = Watched(observations, None, config, tmp_path, start=a_few(config))
+    def watched(state, gradients):
+        before = state.gaussians.params["logit_opacities"].clone()
+        take_step(state, gradients)
+        step = (state.gaussians.params["logit_opacities"] - before)[gradients.active.rows]
+        found.append((state.step, step[gradients.drawn], gradients.values["logit_opacities"][gradients.drawn]))
+
+    trainer._take_step = watched
     whole = trainer.run()
-    rate = float(trainer.rates()["logit_opacities"])
+    rate = float(trainer.rates.at(12, trainer.gaussians)["logit_opacities"])
     at, step, gradient = found[10]
     assert at == 10
     assert len(step) > 10
@@ -192,7 +197,7 @@ def test_after_a_reset_the_next_gradient_alone_says_where_opacities_go(tmp_path)
 
 @pytest.mark.parametrize("alone", [0.01, 1.0])
 def test_who_turns_out_to_move_gets_neighbors_at_once_unless_they_are_few(monkeypatch, alone):
-    monkeypatch.setattr(trainer, "MAX_ALONE_SHARE", alone)
+    monkeypatch.setattr(state, "MAX_ALONE_SHARE", alone)
     config = tiny("default")
     config = replace(
         config, iterations=4, loss=replace(config.loss, rigid_refresh=1000),
@@ -201,20 +206,20 @@ def test_who_turns_out_to_move_gets_neighbors_at_once_unless_they_are_few(monkey
     start, had, moved = a_few(config), [], []
     start.dynamic[:12] = False
 
-    class Watched(Trainer):
-        def _rigid(self, active, rendered):
-            result = super()._rigid(active, rendered)
-            had.append((self._neighbors.indices >= 0).any(1))
-            return result
+    class Watched(DefaultStrategy):
+        def step_post_backward(self, state, step):
+            if not had or len(had) == state.step - 1:
+                had.append((state.neighbors.indices >= 0).any(1))
+            super().step_post_backward(state, step)
 
-        def _control_density(self):
-            before = self.gaussians.dynamic.clone()
-            self._statistics.flow_visits[:2], self._statistics.flow_residual[:2] = 2.0, 200.0
-            self._statistics.color_residual[:2] = 2.0
-            super()._control_density()
-            moved.append(torch.nonzero(self.gaussians.dynamic & ~before).squeeze(1).tolist())
+        def control(self, state, statistics):
+            before = state.gaussians.dynamic.clone()
+            statistics.flow_visits[:2], statistics.flow_residual[:2], statistics.color_residual[:2] = 2.0, 200.0, 2.0
+            super().control(state, statistics)
+            moved.append(torch.nonzero(state.gaussians.dynamic & ~before).squeeze(1).tolist())
 
-    Watched(seen(a_few(config)), None, config, start=start).run()
+    monkeypatch.setitem(STRATEGIES._found, "default", replace(STRATEGIES.entry("default"), value=Watched))
+    Trainer(seen(a_few(config)), None, config, start=start).run()
     assert moved == [[0, 1]]
     assert not had[1][:2].any()
     assert had[2][:2].all() == (alone < 1)
@@ -223,7 +228,7 @@ def test_who_turns_out_to_move_gets_neighbors_at_once_unless_they_are_few(monkey
 @pytest.mark.parametrize("count", [1, 2, 7, 74])
 def test_frames_of_steps_in_a_row_lie_far_apart(count):
     rng = np.random.default_rng(0)
-    rounds = [_spread_order(count, rng).tolist() for _ in range(2)]
+    rounds = [spread_order(count, rng).tolist() for _ in range(2)]
     for each in rounds:
         assert sorted(each) == list(range(count))
         assert all(abs(a - b) > count // 4 for a, b in itertools.pairwise(each))

@@ -60,17 +60,18 @@ def test_the_loss_and_its_gradients_are_those_of_the_cpu(preset, flow_model, by_
         trainer = Trainer(observations, None, replace(config, iterations=0), start=a_few(config), device=device)
         trainer.run()
         trainer.gaussians.sh_degree = 1
-        found.append([trainer._differentiate(k) for k in (0, FRAMES - 1)])  # the last one has no flow
+        found.append([trainer.differentiate(k) for k in (0, FRAMES - 1)])  # the last one has no flow
         by_triton()
-    for expected, ours in zip(*found, strict=True):
-        active = ours[0]
-        assert active.valid(active.rows).tolist() == expected[0].rows.tolist()
-        assert len(active.rows) > len(expected[0].rows)
-        assert active.valid(ours[1]).tolist() == expected[1].tolist()
-        assert int(ours[1].sum()) == int(expected[1].sum())
-        assert {name: float(value) for name, value in ours[3].items()} == pytest.approx(expected[3], rel=1e-4, abs=1e-6)
-        for name, gradient in expected[2].items():
-            close(without_padding(trainer.gaussians, name, active, ours[2][name]), gradient, name, 2e-4)
+    for (expected, right), (ours, gradients) in zip(*found, strict=True):
+        active = gradients.active
+        assert active.valid(active.rows).tolist() == right.active.rows.tolist()
+        assert len(active.rows) > len(right.active.rows)
+        assert active.valid(gradients.drawn).tolist() == right.drawn.tolist()
+        assert int(gradients.drawn.sum()) == int(right.drawn.sum())
+        figures = {name: float(value) for name, value in ours.figures.items()}
+        assert figures == pytest.approx(expected.figures, rel=1e-4, abs=1e-6)
+        for name, gradient in right.values.items():
+            close(without_padding(trainer.gaussians, name, active, gradients.values[name]), gradient, name, 2e-4)
 
 
 def test_steps_lead_where_those_of_the_cpu_lead(by_triton):
@@ -132,8 +133,8 @@ def test_every_kernel_of_a_step_is_launched_on_the_device_of_its_tensors(flow_mo
 
 def state_of(trainer: Trainer) -> dict[str, torch.Tensor]:
     """Everything that training changes."""
-    statistics = {f"statistics.{name}": value for name, value in vars(trainer._statistics).items()}
-    return {**trainer.gaussians.params, **trainer._adam.state(), **statistics}
+    statistics = {f"statistics.{name}": value for name, value in trainer.state.statistics.items()}
+    return {**trainer.gaussians.params, **trainer.state.optimizer.state(), **statistics}
 
 
 @pytest.mark.parametrize(
@@ -147,7 +148,7 @@ def test_padding_changes_nothing_and_where_there_are_too_few_rows_there_are_more
     config = replace(config, model=replace(config.model, gains=gains, freeze_background=frozen))
     observations, computed = seen(a_few(config)), []
     by_triton()
-    backpropagate, padded = Trainer._backpropagate, Gaussians4D.active
+    backpropagate, padded = Trainer.backpropagate, Gaussians4D.active
 
     def counting(self, *given):
         computed.append(given)
@@ -159,7 +160,7 @@ def test_padding_changes_nothing_and_where_there_are_too_few_rows_there_are_more
         trainer.run()
         return state_of(trainer), trainer.history[-1], len(computed)
 
-    monkeypatch.setattr(Trainer, "_backpropagate", counting)
+    monkeypatch.setattr(Trainer, "backpropagate", counting)
     found = []
     for granule in granules:
         monkeypatch.setattr(capacity, "GRANULE", granule)
@@ -192,4 +193,4 @@ def test_a_frame_without_moving_gaussians_or_without_any(resting, by_triton):
     for name, value in trainer.gaussians.params.items():
         assert torch.isfinite(value).all(), name
         assert resting or torch.equal(value.cpu(), before[name]), name
-    assert int(trainer._adam.counts.max()) == (2 if resting else 0)
+    assert int(trainer.state.optimizer.counts.max()) == (2 if resting else 0)

@@ -98,7 +98,7 @@ def bounds_in_help(kind: Kind) -> Kind:
     hints = get_type_hints(kind, include_extras=True)
     for name, bounds in bounds_of(kind).items():
         hint = tyro.conf.arg(help_behavior_hint=partial(_hint, format_bounds(bounds)))
-        if not any(type(extra) is type(hint) for extra in hints[name].__metadata__):
+        if not any(getattr(extra, "help_behavior_hint", None) for extra in hints[name].__metadata__):
             hints[name] = Annotated[hints[name], hint]
         kind.__annotations__[name] = hints[name]
     return kind

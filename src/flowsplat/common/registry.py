@@ -108,6 +108,10 @@ class Registry(Generic[T]):
             raise InputError(f"Unknown {self.what} {name!r}: choose one of {', '.join(self.names())}.")
         return self._found[name]
 
+    def hint(self, default: str) -> str:
+        """Return what the help says behind a setting that takes one of the names: each with its sentence, and the default."""
+        return f"({'; '.join(f'{entry.name} = {entry.sentence}' for entry in self.entries())}; default: {default})"
+
     def __getitem__(self, name: str) -> T:
         """Return what the member of that name does; raises as ``entry``."""
         return self.entry(name).value

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
+import tyro
 from msgspec import Meta
 
 from flowsplat.common.bounds import Amount, Fraction, bounds_in_help
+from flowsplat.common.registry import Registry
+
+MOTION_MODELS: Registry[Callable[..., Any]] = Registry("motion model", "flowsplat.gaussians.motion", "flowsplat.motion_models")
+"""What makes a ``motion.MotionModel`` from the settings. They name its members, so it knows them not."""
 
 
 @bounds_in_help
@@ -15,9 +21,8 @@ from flowsplat.common.bounds import Amount, Fraction, bounds_in_help
 class ModelConfig:
     """What one Gaussian is made of (docs/method.md, "Representation")."""
 
-    kind: str = "series"
-    """Motion model: ``series``, which the next settings describe, ``linear`` (the linear 4D Gaussian of 4DGS), or one of your own
-    (CONTRIBUTING.md)."""
+    kind: Annotated[str, tyro.conf.arg(help_behavior_hint=MOTION_MODELS.hint)] = "series"
+    """Motion model."""
     move_means: bool = True
     """Means move along polynomial + Fourier series. Off: the vanilla term, a straight line (the paper's ablation)."""
     move_quats: bool = True

@@ -65,6 +65,16 @@ class Observations:
         return self.frames[k]
 
     @property
+    def times(self) -> np.ndarray:
+        """[T] clip times of the frames."""
+        return np.array([frame.time for frame in self.frames])
+
+    @property
+    def focal(self) -> float:
+        """Pixels that a unit of length has at the median depth."""
+        return float(self.frames[0].camera.K[0, 0])
+
+    @property
     def size(self) -> tuple[int, int]:
         """(width, height)."""
         return self.frames[0].camera.width, self.frames[0].camera.height

@@ -111,7 +111,7 @@ def _train_in(
     with _open_event_log(folder.logs_path / where.name) as record:
         trainer = Trainer(observations, tracks, config, where, shown, record, start, device, first_step, visits)
         model = scene_model(scene, trainer.run(), config)
-        earlier = trainer.earlier_seconds
+        earlier = trainer.state.earlier_seconds
         history = trainer.history
     del trainer, observations, tracks, start  # What it was trained with is larger than the model.
     give_back_memory()

@@ -196,16 +196,22 @@ def check_model(path: Path, gaussians: Gaussians4D) -> None:
         raise InputError(f"{path} is damaged: how bright a Gaussian is without shadows is no number, or beyond {_MAX_LOG:g}.")
 
 
-def check_training_state(path: Path, tensors: Mapping[str, Tensor], gaussians: Gaussians4D) -> None:
+def check_training_state(
+    path: Path, tensors: Mapping[str, Tensor], gaussians: Gaussians4D, statistics: Mapping[str, Tensor]
+) -> None:
     """Refuse what a trainer keeps of its Gaussians and could not go on with: its kernels look at no index and no size.
 
     Args:
         tensors: of the checkpoint: ``adam.*``, ``average.*``, ``statistics.*`` and ``neighbors.*``.
+        gaussians: that it holds.
+        statistics: by name, such as the strategy keeps them.
 
     Raises:
         InputError: names the tensor.
     """
     count, params = len(gaussians), gaussians.params
+    if missing := [name for name in statistics if f"statistics.{name}" not in tensors]:
+        raise InputError(f"{path} is damaged: it lacks statistics.{missing[0]}.")
     for name, value in tensors.items():
         kind, _, what = name.partition(".")
         shape, dtype = tuple(value.shape), torch.float32
@@ -215,7 +221,7 @@ def check_training_state(path: Path, tensors: Mapping[str, Tensor], gaussians: G
         elif kind == "adam":
             shape, dtype = (count,), torch.int32
         elif kind == "statistics":
-            shape = (count,)
+            shape, dtype = (tuple(statistics[what].shape), statistics[what].dtype) if what in statistics else ((-1,), dtype)
         elif kind == "neighbors":
             shape = (count, *tensors["neighbors.indices"].shape[1:2])
             dtype = torch.int32 if what == "indices" else torch.float32

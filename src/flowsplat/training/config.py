@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 from msgspec import Meta
@@ -14,6 +14,9 @@ from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.initialize import InitConfig
 from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.motion import motion_model
+from flowsplat.training.frame_order import Order
+from flowsplat.training.losses import LOSSES, LossTerm, add_weights
+from flowsplat.training.strategies import STRATEGIES
 
 
 @bounds_in_help
@@ -63,6 +66,7 @@ class RatesConfig:
 
 @bounds_in_help
 @dataclass(frozen=True)
+@add_weights
 class LossConfig:
     """Weights of the losses (docs/method.md, "Training")."""
 
@@ -88,6 +92,11 @@ class LossConfig:
     flow_by_alpha: bool = True
     """Compare flow with alpha times the prior, where alpha is at least 0.5 (ours), instead of with the prior as it is (the paper),
     which is biased where alpha < 1."""
+
+    def terms(self) -> list[tuple[str, float, LossTerm]]:
+        """Return the name, weight and function of every term whose weight is not 0, in order."""
+        terms = [(entry.name, float(getattr(self, entry.name, 1.0)), entry.value) for entry in LOSSES.entries()]
+        return [term for term in terms if term[1] > 0]
 
 
 @bounds_in_help
@@ -134,9 +143,11 @@ class TrainConfig:
 
     iterations: Count = 1500
     """Optimizer steps."""
+    strategy: Annotated[str, tyro.conf.arg(help_behavior_hint=STRATEGIES.hint)] = "default"
+    """Who adds and removes Gaussians, and when."""
     frames_per_iteration: Annotated[int, Meta(ge=0, le=10_000)] = 1
     """Frames rendered in a step; their losses are averaged. 0 = all (the paper, read literally)."""
-    order: Literal["random", "spread"] = "spread"
+    order: Order = "spread"
     """Of the frames in a round: random, or so that those of steps that follow each other lie far apart. What moves is seen in a few
     neighboring frames, and so is stepped at even intervals."""
     flow_model: FlowModel = "displacement"
@@ -171,6 +182,11 @@ class TrainConfig:
         """
         check_bounds(self, "--train.")
         motion_model(self.model)
+        STRATEGIES.entry(self.strategy)
+
+    def is_averaged(self, step: int) -> bool:
+        """Return whether the parameters after so many steps are among those whose mean is the result."""
+        return step > (1 - self.average) * self.iterations
 
 
 _OURS = TrainConfig(
@@ -195,6 +211,7 @@ PRESETS: dict[str, TrainConfig] = {
     "default": _OURS,
     "paper": TrainConfig(
         iterations=1500,
+        strategy="paper",
         frames_per_iteration=4,
         order="random",
         flow_model="mean",

@@ -25,7 +25,10 @@ from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.scenes import Scene
 from flowsplat.training.config import PRESETS, TrainConfig
+from flowsplat.training.history import Figures
 from flowsplat.training.scene_model import scene_model
+from flowsplat.training.state import TrainState
+from flowsplat.training.step import StepOutput
 from flowsplat.training.trainer import Trainer
 from flowsplat_benchmarks.scripts.cpu_parts.clock import profile
 from flowsplat_benchmarks.scripts.cpu_parts.step import DIRECTORS
@@ -82,13 +85,13 @@ class StageClock:
 
     def __init__(self, trainer: Trainer, every: int, images: HeldoutImages, profiled: int):
         self._trainer, self._every, self._images, self._profiled = trainer, every, images, profiled
-        self._step, self._seconds, self._since = trainer._after_step, 0.0, 0.0
+        self._seconds, self._since = 0.0, 0.0
         self.entries: list[dict[str, Any]] = []
         self.parts: list[dict[str, float]] = []
 
     def attach(self) -> None:
         """Watch the trainer from now on."""
-        self._trainer._after_step = self._after_step  # type: ignore[method-assign]
+        self._trainer.callbacks.append(self._look)
         self._since = time.process_time()
 
     @property
@@ -96,18 +99,17 @@ class StageClock:
         """Spent on steps so far."""
         return self._seconds
 
-    def _after_step(self, entry: Any) -> None:
-        self._step(entry)
+    def _look(self, state: TrainState, _step: StepOutput, _figures: Figures) -> None:
         trainer = self._trainer
-        last = trainer.step == trainer.config.iterations
-        if trainer.step % self._every and not last:
+        last = state.step == trainer.config.iterations
+        if state.step % self._every and not last:
             return
         self._seconds += time.process_time() - self._since
-        averaged = {name: value.clone() for name, value in trainer.gaussians.params.items()}
-        trainer._average.write(averaged)
-        g = trainer.gaussians
+        averaged = {name: value.clone() for name, value in state.gaussians.params.items()}
+        state.average.write(averaged)
+        g = state.gaussians
         shown = Gaussians4D(averaged, g.dynamic, g.config, g.sh_degree, g.object_ids)
-        found = {"step": trainer.step, "seconds": self._seconds, **self._images.psnr(shown, trainer.config)}
+        found = {"step": state.step, "seconds": self._seconds, **self._images.psnr(shown, trainer.config)}
         self.entries.append(found)
         tell("  ".join(f"{name} {value:.2f}" for name, value in found.items()))
         self._since = time.process_time()
@@ -128,7 +130,7 @@ def classes(trainer: Trainer, repeat: int) -> dict[str, dict[str, float]]:
         }
         for name, chosen in kinds.items():
             began = time.process_time()
-            trainer._backpropagate(k, chosen, trainer._targets[k])
+            trainer.backpropagate(k, chosen)
             found[name].append(time.process_time() - began)
             counts[name].append(len(chosen.rows))
     return {
@@ -141,7 +143,7 @@ def parts_of_steps(trainer: Trainer, repeat: int) -> dict[str, float]:
     """Milliseconds of the parts of a step, medians; the trainer goes on by ``repeat`` steps."""
     seconds: dict[str, list[float]] = {}
     for _ in range(repeat):
-        for name, value in profile(trainer._iterate, DIRECTORS).items():
+        for name, value in profile(trainer.step, DIRECTORS).items():
             seconds.setdefault(name, []).append(value)
     return {name: significant(1e3 * statistics.median(values)) for name, values in seconds.items()}
 
@@ -162,7 +164,7 @@ def main() -> None:
     observations, tracks = load_observations(scene), scene.tracks if scene.has_tracks else None
     trainer = Trainer(observations, tracks, config)
     began = time.process_time()
-    start = trainer._first()
+    start = trainer.initialize()
     placing = time.process_time() - began
     trainer = Trainer(observations, tracks, config, start=start)
     clock = StageClock(trainer, options.every, HeldoutImages(scene, options.images), PROFILED_STEPS)

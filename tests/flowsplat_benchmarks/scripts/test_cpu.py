@@ -15,8 +15,8 @@ import torch
 from flowsplat.splatting import blend, project, rasterize
 from flowsplat.splatting.cpu import tiles
 from flowsplat.splatting.rules import ALPHA_MIN
-from flowsplat.training import trainer
 from flowsplat.training.config import PRESETS
+from flowsplat.training.losses import coverage, photometric, rigid
 from flowsplat.training.trainer import Trainer
 from flowsplat_benchmarks.scripts.cpu_parts import first, large, rasterizer, scaling, scene, startup, step, torch_tiles
 from flowsplat_benchmarks.scripts.cpu_parts.clock import KernelClock, profile
@@ -245,21 +245,21 @@ def test_what_fresh_processes_do(monkeypatch):
         start = {name: value.clone() for name, value in self._start.params.items()}
         trained.append((self, start, run(self)))
 
-    def counted(name):
-        function = getattr(trainer, name)
-        monkeypatch.setattr(trainer, name, lambda *values: losses.setdefault(name, values) and function(*values))
+    def counted(module, name):
+        function = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda *values: losses.setdefault(name, values) and function(*values))
 
     monkeypatch.setattr(first.SceneModel, "render", rendered)
     monkeypatch.setattr(Trainer, "run", train)
-    for name in ("photometric_loss", "rigid_loss", "coverage_loss"):
-        counted(name)
+    for module, name in ((photometric, "photometric_loss"), (rigid, "rigid_loss"), (coverage, "coverage_loss")):
+        counted(module, name)
     exec(startup.ACTIONS["import flowsplat, one image"])
     assert [image.color.shape for image in images] == [(480, 854, 3)]
     assert (images[0].alpha > 0.5).mean() > 0.05
     assert not trained
     exec(startup.ACTIONS["import flowsplat, one training step"])
     ((done, before, after),) = trained
-    assert done.step == 1
+    assert done.state.step == 1
     assert set(losses) == {"photometric_loss", "rigid_loss", "coverage_loss"}
     *_, flow_channels, targets, weights = losses["photometric_loss"]
     assert flow_channels > 0

@@ -1,11 +1,10 @@
 """Motion models: how a Gaussian's mean and covariance depend on time (docs/method.md, "Representation").
 
-``protocol`` says what every model offers, and holds the registry. ``series`` is polynomial + Fourier (the paper's), ``linear`` the
-4D Gaussian of 4DGS (the "vanilla" representation of the paper's ablation), and ``rigid`` what models share whose Gaussians keep
-their scales.
+A module here, or one of another package with an entry point ``flowsplat.motion_models``, registers one. ``protocol`` says what
+every model offers, ``series`` is polynomial + Fourier (the paper's), ``linear`` the 4D Gaussian of 4DGS (the "vanilla"
+representation of the paper's ablation), and ``rigid`` what models share whose Gaussians keep their scales.
 """
 
-from flowsplat.gaussians.motion import linear, series  # noqa: F401  Each registers its model.
 from flowsplat.gaussians.motion.linear import LinearMotion, covariances_4d
 from flowsplat.gaussians.motion.protocol import (
     MotionModel,

@@ -1,4 +1,4 @@
-"""Define what every motion model offers, and the registry of those that there are.
+"""Define what every motion model offers.
 
 A model says which parameters it has and gives the state of its Gaussians at a time. Everything else, from the first Gaussians to
 the exported page, asks it and knows none of its parameters by name; only the fused kernels do, of the models that have some.
@@ -13,8 +13,7 @@ from typing import Literal, Protocol
 import torch
 from torch import Tensor
 
-from flowsplat.common.errors import InputError
-from flowsplat.gaussians.model_config import ModelConfig
+from flowsplat.gaussians.model_config import MOTION_MODELS, ModelConfig
 
 Params = Mapping[str, Tensor]
 RateGroup = Literal["rotation", "scale", "precision", "motion"]
@@ -130,17 +129,14 @@ class MotionModel(Protocol):
 
 Maker = Callable[[ModelConfig], MotionModel]
 
-_makers: dict[str, Maker] = {}
 
+def register(name: str, title: str, sentence: str) -> Callable[[Maker], Maker]:
+    """Decorate what makes a model from the settings: ``--train.model.kind`` finds it by this name.
 
-def register(kind: str) -> Callable[[Maker], Maker]:
-    """Decorate what makes a model from the settings: ``--train.model.kind`` finds it by this name."""
-
-    def keep(maker: Maker) -> Maker:
-        _makers[kind] = maker
-        return maker
-
-    return keep
+    Raises:
+        ValueError: as ``Registry.add``.
+    """
+    return MOTION_MODELS.register(name, title, sentence)
 
 
 def motion_model(settings: ModelConfig) -> MotionModel:
@@ -152,9 +148,8 @@ def motion_model(settings: ModelConfig) -> MotionModel:
     """
     neither = settings.kind == "series" and not settings.move_means and not settings.move_quats
     kind = "linear" if neither else settings.kind
-    if kind not in _makers:
-        raise InputError(f"Unknown motion model {kind!r}: choose one of {', '.join(sorted(_makers))}.")
-    return _makers[kind](settings)
+    model: MotionModel = MOTION_MODELS[kind](settings)
+    return model
 
 
 def presence(times: Tensor, log_lambdas: Tensor, t: float) -> Tensor:

@@ -21,6 +21,9 @@ from flowsplat.common.files import write_json
 from flowsplat.gaussians.gaussians4d import Gaussians4D
 from flowsplat.splatting.triton import blending
 from flowsplat.training.config import PRESETS
+from flowsplat.training.history import Figures
+from flowsplat.training.state import TrainState
+from flowsplat.training.step import StepOutput
 from flowsplat.training.trainer import Trainer
 from flowsplat_benchmarks.scripts.cpu_parts import scene as drawn
 from flowsplat_benchmarks.scripts.cpu_parts.timing import replace_attribute, significant, tell
@@ -148,7 +151,7 @@ def step(record: Record) -> None:
         machine.forget_peak()
         trainer = kept[name] = _trainer(record, name)
         wall, repeat = time.perf_counter(), record.repeat
-        step = machine.milliseconds(trainer._iterate, repeat, warm_up=1)
+        step = machine.milliseconds(trainer.step, repeat, warm_up=1)
         wall = 1e3 * (time.perf_counter() - wall) / (repeat + 1)
         return {"step": step, "wall_ms": significant(wall), "peak_memory_gib": machine.peak_gib()}
 
@@ -157,7 +160,7 @@ def step(record: Record) -> None:
     trainer = kept.get("default")
     if trainer is None:
         return
-    record.attempt("kernels", lambda: machine.profile(trainer._iterate, 1 if record.rehearse else 12))
+    record.attempt("kernels", lambda: machine.profile(trainer.step, 1 if record.rehearse else 12))
     if record.rehearse:
         return
     sweeps = {
@@ -172,7 +175,7 @@ def step(record: Record) -> None:
             setattr(blending, name, value)
             try:
                 # What the card spends on it: by the clock a step is the host's.
-                found = machine.profile(trainer._iterate, 6)["kernels"].get(kernel, {"ms": 0.0})
+                found = machine.profile(trainer.step, 6)["kernels"].get(kernel, {"ms": 0.0})
                 tried[name][str(value)] = found["ms"]
             except Exception as error:  # more registers or shared memory than there are, say
                 tell(f"{name} = {value}: {error}")
@@ -357,14 +360,12 @@ def _states(start: Gaussians4D, seen: Any, config: Any, device: str) -> Iterator
     """Yield the parameters at some steps."""
     found: list[tuple[int, dict[str, torch.Tensor]]] = []
     trainer = Trainer(seen, None, config, start=_perturb(start, 0.0), device=device)
-    after = trainer._after_step
 
-    def look(entry: Any) -> None:
-        after(entry)
-        if trainer.step in COMPARED_STEPS or trainer.step == config.iterations:
-            found.append((trainer.step, {name: value.cpu().clone() for name, value in trainer.gaussians.params.items()}))
+    def look(state: TrainState, _step: StepOutput, _figures: Figures) -> None:
+        if state.step in COMPARED_STEPS or state.step == config.iterations:
+            found.append((state.step, {name: value.cpu().clone() for name, value in state.gaussians.params.items()}))
 
-    trainer._after_step = look  # type: ignore[method-assign]
+    trainer.callbacks.append(look)
     trainer.run()
     yield from found
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from flowsplat.training.losses import register_loss
+from flowsplat.training.step import StepOutput
+
 UNCOVERED_FROM = 0.3
 """Transmittance that costs nothing. Less than ``render.FILLED_FROM``, from which on rendering fills (docs/method.md, "Where
 preset `default` differs from the paper")."""
@@ -17,3 +20,9 @@ def coverage_loss(alpha: Tensor) -> Tensor:
     Rendering would take it for a pixel that nothing covers and fill it from its neighbors.
     """
     return (1 - UNCOVERED_FROM - alpha).clamp(min=0).mean()
+
+
+@register_loss("coverage", "Coverage", "Training pixels are covered.", place=20)
+def coverage(step: StepOutput) -> Tensor:
+    """Return it for the image of a step."""
+    return coverage_loss(step.rendered.alpha)

@@ -1,0 +1,1 @@
+"""Additions to flowsplat, one module each; ``pyproject.toml`` names them."""

@@ -1,0 +1,69 @@
+"""``examples/plugin`` is installed as a package of somebody else would be, and all that it adds works."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PLUGIN = Path(__file__).parents[2] / "examples" / "plugin"
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """A folder that Python finds it in, as pip installs it."""
+    folder = tmp_path_factory.mktemp("plugin")
+    pip = [sys.executable, "-m", "pip"] if importlib.util.find_spec("pip") else ["uv", "pip"]
+    options = ["--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--target", str(folder)]
+    # Building leaves files beside the sources: a copy has them.
+    sources = folder.with_name("sources")
+    shutil.copytree(PLUGIN, sources)
+    done = subprocess.run([*pip, "install", *options, str(sources)], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def flowsplat(installed: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """The command line, with the plugin."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(installed), os.environ.get("PYTHONPATH", "")])}
+    command = [sys.executable, "-m", "flowsplat.cli", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=600, env=environment)
+
+
+def test_the_help_names_what_it_adds(installed):
+    text = " ".join(flowsplat(installed, "train", "--help-all").stdout.replace("│", " ").split())
+    assert "--train.loss.opaque" in text
+    assert "Pixels are covered or not, nothing in between. (0 or more; default: 0.0)" in text
+    assert "frozen = every Gaussian stays as it came" in text
+    assert "drift = everything flies straight on" in text
+
+
+@pytest.mark.parametrize(("option", "name"), [("--train.strategy", "frozen"), ("--train.model.kind", "drift")])
+def test_without_it_its_names_are_refused(finished, tmp_path, option, name):
+    shutil.copytree(finished, tmp_path / "run")
+    done = flowsplat(tmp_path, "train", tmp_path / "run", option, name)
+    assert done.returncode == 2
+    assert f"{name!r}: choose one of" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_scene_trains_with_its_loss_strategy_and_motion_model(installed, finished, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(finished, run)
+    options = ("--train.loss.opaque", 0.1, "--train.strategy", "frozen", "--train.model.kind", "drift", "--train.iterations", 20)
+    done = flowsplat(installed, "train", run, *options)
+    assert done.returncode == 0, done.stderr
+    history = json.loads((run / "training" / "history.json").read_text())
+    assert all(0 < entry["opaque"] <= 1 for entry in history)
+    assert len({entry["gaussians"] for entry in history}) == 1
+    assert json.loads((run / "model" / "model.json").read_text())["model"]["kind"] == "drift"
+    refused = flowsplat(tmp_path, "info", run)  # without it
+    assert refused.returncode == 2
+    assert "opaque" in refused.stderr
+    assert "Traceback" not in refused.stderr
