@@ -319,14 +319,14 @@ def test_scenes_that_are_damaged(capsys, tmp_path, scene):
 def test_a_truncated_checkpoint_is_one_line(capsys, tmp_path, scene, monkeypatch):
     from flowsplat.training.trainer import Trainer
 
-    out, iterate = tmp_path / "out", Trainer._iterate
+    out, iterate = tmp_path / "out", Trainer.iterate
 
     def stop(self):
         if self.step == 5:
             raise KeyboardInterrupt
         return iterate(self)
 
-    monkeypatch.setattr(Trainer, "_iterate", stop)
+    monkeypatch.setattr(Trainer, "iterate", stop)
     code, error = call(capsys, "run", scene, "-o", out, "--priors", "true", *FAST)
     assert code == 130
     assert "continues" in error

@@ -76,9 +76,9 @@ def test_a_step_asks_the_gpu_only_for_what_it_counted_before_the_rest_was_queued
     trainer.run()  # which finds neighbors, and room for every frame
     with waiting_is_an_error():
         for _ in range(4):  # in one of them the flow of every Gaussian is looked at
-            trainer.step()
+            trainer.iterate()
     with torch.profiler.profile() as profile:
-        trainer.step()
+        trainer.iterate()
     waits = [event.name for event in profile.events() if event.name in ("cudaStreamSynchronize", "cudaEventSynchronize")]
     assert waits.count("cudaEventSynchronize") <= 2 * frames, waits
     assert "cudaStreamSynchronize" not in waits

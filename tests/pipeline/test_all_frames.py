@@ -102,7 +102,7 @@ def test_heldout_pixels_reach_what_is_shown_and_nothing_else(tiny_scene, finishe
 
 
 def test_a_final_fit_that_was_stopped_ends_at_the_same_bits(tiny_scene, finished, tmp_path, monkeypatch):
-    iterate, config = Trainer._iterate, small_config()
+    iterate, config = Trainer.iterate, small_config()
     config = replace(config, train=replace(config.train, checkpoint_every=2))
 
     def stop(self):
@@ -110,12 +110,12 @@ def test_a_final_fit_that_was_stopped_ends_at_the_same_bits(tiny_scene, finished
             raise RuntimeError("stopped")
         return iterate(self)
 
-    monkeypatch.setattr(Trainer, "_iterate", stop)
+    monkeypatch.setattr(Trainer, "iterate", stop)
     with pytest.raises(RuntimeError, match="stopped"):
         run(tiny_scene, tmp_path / "out", config)
     assert (tmp_path / "out" / "model_all_frames" / "latest.json").exists()
     assert flowsplat.load(tmp_path / "out").render is not None  # the measured model, as long as there is no other
-    monkeypatch.setattr(Trainer, "_iterate", iterate)
+    monkeypatch.setattr(Trainer, "iterate", iterate)
     run(tiny_scene, tmp_path / "out", config)
     name = "model_all_frames/gaussians.safetensors"
     assert (tmp_path / "out" / name).read_bytes() == (finished / name).read_bytes()

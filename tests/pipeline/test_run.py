@@ -81,17 +81,17 @@ class Stopped(Exception):
 
 @pytest.mark.parametrize("at", [slow(5), 17])
 def test_interrupted_training_ends_at_the_same_bits(tiny_scene, finished, tmp_path, monkeypatch, at):
-    iterate = Trainer._iterate
+    iterate = Trainer.iterate
 
     def stop(self):
         if self.step == at:
             raise Stopped
         return iterate(self)
 
-    monkeypatch.setattr(Trainer, "_iterate", stop)
+    monkeypatch.setattr(Trainer, "iterate", stop)
     with pytest.raises(Stopped):
         run(tiny_scene, tmp_path / "out", small_config())
-    monkeypatch.setattr(Trainer, "_iterate", iterate)
+    monkeypatch.setattr(Trainer, "iterate", iterate)
     metrics = run(tiny_scene, tmp_path / "out", small_config())
     assert comparable(metrics) == comparable(json.loads((finished / "metrics.json").read_text()))
     assert same_model(tmp_path / "out", finished)
@@ -198,14 +198,14 @@ def test_the_folder_of_another_input_is_refused(finished, tmp_path):
 
 
 def test_a_damaged_checkpoint_is_explained_and_can_be_deleted(tiny_scene, finished, tmp_path, monkeypatch):
-    iterate = Trainer._iterate
+    iterate = Trainer.iterate
 
     def stop(self):
         if self.step == 15:
             raise Stopped
         return iterate(self)
 
-    monkeypatch.setattr(Trainer, "_iterate", stop)
+    monkeypatch.setattr(Trainer, "iterate", stop)
     with pytest.raises(Stopped):
         run(tiny_scene, tmp_path / "out", small_config())
     checkpoint = next((tmp_path / "out" / "training").glob("step_*.safetensors"))
@@ -213,7 +213,7 @@ def test_a_damaged_checkpoint_is_explained_and_can_be_deleted(tiny_scene, finish
     with pytest.raises(InputError, match=r"damaged or truncated.*Delete it to compute it again"):
         run(tiny_scene, tmp_path / "out", small_config())
     checkpoint.unlink()
-    monkeypatch.setattr(Trainer, "_iterate", iterate)
+    monkeypatch.setattr(Trainer, "iterate", iterate)
     run(tiny_scene, tmp_path / "out", small_config())
     assert same_model(tmp_path / "out", finished)
 
@@ -248,13 +248,13 @@ def test_other_previews_and_checkpoints_do_not_train_again(tiny_scene, finished,
             raise Stopped
         return iterate(self)
 
-    iterate = Trainer._iterate
+    iterate = Trainer.iterate
     with monkeypatch.context() as patch:
-        patch.setattr(Trainer, "_iterate", until)
+        patch.setattr(Trainer, "iterate", until)
         with pytest.raises(Stopped):
             run(tiny_scene, out, config)
     stop = 3  # which is passed already
-    monkeypatch.setattr(Trainer, "_iterate", until)
+    monkeypatch.setattr(Trainer, "iterate", until)
     run(tiny_scene, out, often)
     assert same_model(out, finished)
     monkeypatch.setattr(Trainer, "run", lambda self: pytest.fail("trained again"))
@@ -499,7 +499,7 @@ def test_what_a_prepared_scene_cannot_follow_is_said(tiny_scene, tmp_path, capsy
 
 
 def test_the_seconds_of_all_sittings_count(tiny_scene, tmp_path, monkeypatch):
-    iterate = Trainer._iterate
+    iterate = Trainer.iterate
 
     def stop(self):
         if self.step == 25:
@@ -509,7 +509,7 @@ def test_the_seconds_of_all_sittings_count(tiny_scene, tmp_path, monkeypatch):
 
     folder = prepare(tiny_scene, tmp_path / "out", small_config())
     with monkeypatch.context() as patch:
-        patch.setattr(Trainer, "_iterate", stop)
+        patch.setattr(Trainer, "iterate", stop)
         with pytest.raises(Stopped):
             train(folder)
     (tmp_path / "out" / "training" / ".step_000030.1.partial.safetensors").write_text("left by a process that was killed")

@@ -30,7 +30,7 @@ def signals_as_usual():
 
 @pytest.mark.parametrize("name", ["SIGINT", slow("SIGTERM"), slow("SIGHUP")])
 def test_a_signal_keeps_what_was_done(tiny_scene, finished, tmp_path, monkeypatch, capsys, name):
-    out, number, iterate = tmp_path / "out", getattr(signal, name), Trainer._iterate
+    out, number, iterate = tmp_path / "out", getattr(signal, name), Trainer.iterate
     before = signal.getsignal(number)
     prepare(tiny_scene, out, small_config())
 
@@ -39,7 +39,7 @@ def test_a_signal_keeps_what_was_done(tiny_scene, finished, tmp_path, monkeypatc
             os.kill(os.getpid(), number)
         return iterate(self)
 
-    monkeypatch.setattr(Trainer, "_iterate", asked)
+    monkeypatch.setattr(Trainer, "iterate", asked)
     with pytest.raises(SystemExit) as error:
         main(["train", str(out)])
     assert error.value.code == 128 + number
@@ -48,7 +48,7 @@ def test_a_signal_keeps_what_was_done(tiny_scene, finished, tmp_path, monkeypatc
     assert "The same command continues from here." in said
     assert json.loads((out / "training" / "latest.json").read_text())["step"] == 17
     assert signal.getsignal(number) == before
-    monkeypatch.setattr(Trainer, "_iterate", iterate)
+    monkeypatch.setattr(Trainer, "iterate", iterate)
     main(["train", str(out)])
     assert "Going on from step 17 of 30." in capsys.readouterr().err
     model = "model/gaussians.safetensors"
@@ -61,7 +61,7 @@ def test_a_second_signal_stops_at_once(tiny_scene, tmp_path, monkeypatch):
         os.kill(os.getpid(), signal.SIGINT)
         pytest.fail("went on")
 
-    monkeypatch.setattr(Trainer, "_iterate", asked_twice)
+    monkeypatch.setattr(Trainer, "iterate", asked_twice)
     with pytest.raises(KeyboardInterrupt):
         run(tiny_scene, tmp_path / "out", small_config())
     assert not (tmp_path / "out" / "training" / "latest.json").exists()

@@ -173,7 +173,7 @@ def test_after_a_reset_the_next_gradient_alone_says_where_opacities_go(tmp_path)
     observations, found = seen(a_few(config)), []
 
     trainer = Trainer(observations, None, config, tmp_path, start=a_few(config))
-    take_step = trainer._take_step
+    take_step = trainer._optimize
 
     def watched(state, gradients):
         before = state.gaussians.params["logit_opacities"].clone()
@@ -181,7 +181,7 @@ def test_after_a_reset_the_next_gradient_alone_says_where_opacities_go(tmp_path)
         step = (state.gaussians.params["logit_opacities"] - before)[gradients.active.rows]
         found.append((state.step, step[gradients.drawn], gradients.values["logit_opacities"][gradients.drawn]))
 
-    trainer._take_step = watched
+    trainer._optimize = watched
     whole = trainer.run()
     rate = float(trainer.rates.at(12, trainer.gaussians)["logit_opacities"])
     at, step, gradient = found[10]

@@ -92,7 +92,7 @@ class Trainer:
         self._capacity = RowCapacity()
         self._everyone: tuple[int, Active] | None = None
         self.rates = LearningRates(config.rates, config.iterations, observations.focal, self.device)
-        self._take_step = OptimizerStep(self.rates, observations, config.rates.along_ray)
+        self._optimize = OptimizerStep(self.rates, observations, config.rates.along_ray)
         self._terms = config.loss.terms()
         self._strategy: Strategy = STRATEGIES[config.strategy](config, observations)
         self._checkpoints = None if checkpoints is None else Checkpoints(Path(checkpoints), config)
@@ -106,6 +106,11 @@ class Trainer:
     def gaussians(self) -> Gaussians4D:
         """The model so far."""
         return self.state.gaussians
+
+    @property
+    def step(self) -> int:
+        """Steps done."""
+        return self.state.step
 
     @property
     def history(self) -> list[dict[str, float]]:
@@ -128,7 +133,7 @@ class Trainer:
         label = "Final fit" if self._first_step else "Training"
         with progress_bar(label, config.iterations, state.step) as bar, stop_requests() as request, keep_freed_memory():
             while state.step < config.iterations:
-                output, figures = self.step()
+                output, figures = self.iterate()
                 for callback in self.callbacks:
                     callback(state, output, figures)
                 if request.signal is not None:
@@ -139,7 +144,7 @@ class Trainer:
         state.average.write(state.gaussians.params)
         return state.gaussians
 
-    def step(self) -> tuple[StepOutput, Figures]:
+    def iterate(self) -> tuple[StepOutput, Figures]:
         """Take one optimizer step over the next frames; return the last of them as it was rendered, and the figures of all."""
         state, config = self.state, self.config
         state.gaussians.sh_degree = min(state.gaussians.config.sh_degree, 4 * state.step // max(config.iterations, 1))
@@ -155,7 +160,7 @@ class Trainer:
                 mean.add(gradients)
             if len(all_figures) < len(frames):
                 self._count(output)
-        self._take_step(state, gradients if mean is None else mean.result())
+        self._optimize(state, gradients if mean is None else mean.result())
         state.step += 1
         averaging, left = config.is_averaged(state.step), config.iterations - state.step
         if averaging and left % AVERAGE_STRIDE == 0:

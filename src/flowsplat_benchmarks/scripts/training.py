@@ -143,7 +143,7 @@ def parts_of_steps(trainer: Trainer, repeat: int) -> dict[str, float]:
     """Milliseconds of the parts of a step, medians; the trainer goes on by ``repeat`` steps."""
     seconds: dict[str, list[float]] = {}
     for _ in range(repeat):
-        for name, value in profile(trainer.step, DIRECTORS).items():
+        for name, value in profile(trainer.iterate, DIRECTORS).items():
             seconds.setdefault(name, []).append(value)
     return {name: significant(1e3 * statistics.median(values)) for name, values in seconds.items()}
 

@@ -31,7 +31,7 @@ def test_a_training_can_be_watched(tmp_path, monkeypatch):
     folder = prepare(tmp_path / "clip", tmp_path / "out", config)
 
     def until(step: int) -> None:
-        iterate = Trainer._iterate
+        iterate = Trainer.iterate
 
         def stopping(self, *arguments):
             if self.step == step:
@@ -39,7 +39,7 @@ def test_a_training_can_be_watched(tmp_path, monkeypatch):
             return iterate(self, *arguments)
 
         with monkeypatch.context() as patch:
-            patch.setattr(Trainer, "_iterate", stopping)
+            patch.setattr(Trainer, "iterate", stopping)
             with pytest.raises(Stopped):
                 train(folder)
 

@@ -64,7 +64,7 @@ class Training:
         """Measure steps until one had a flow loss (the last frame of the clip has none)."""
         while True:
             figures: dict[str, float | torch.Tensor] = {}
-            seconds = measure(lambda: figures.update(self.trainer.step()[1]))  # noqa: B023
+            seconds = measure(lambda: figures.update(self.trainer.iterate()[1]))  # noqa: B023
             if figures["flow"] > 0:
                 return seconds
 

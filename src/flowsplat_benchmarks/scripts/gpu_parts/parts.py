@@ -151,7 +151,7 @@ def step(record: Record) -> None:
         machine.forget_peak()
         trainer = kept[name] = _trainer(record, name)
         wall, repeat = time.perf_counter(), record.repeat
-        step = machine.milliseconds(trainer.step, repeat, warm_up=1)
+        step = machine.milliseconds(trainer.iterate, repeat, warm_up=1)
         wall = 1e3 * (time.perf_counter() - wall) / (repeat + 1)
         return {"step": step, "wall_ms": significant(wall), "peak_memory_gib": machine.peak_gib()}
 
@@ -160,7 +160,7 @@ def step(record: Record) -> None:
     trainer = kept.get("default")
     if trainer is None:
         return
-    record.attempt("kernels", lambda: machine.profile(trainer.step, 1 if record.rehearse else 12))
+    record.attempt("kernels", lambda: machine.profile(trainer.iterate, 1 if record.rehearse else 12))
     if record.rehearse:
         return
     sweeps = {
@@ -175,7 +175,7 @@ def step(record: Record) -> None:
             setattr(blending, name, value)
             try:
                 # What the card spends on it: by the clock a step is the host's.
-                found = machine.profile(trainer.step, 6)["kernels"].get(kernel, {"ms": 0.0})
+                found = machine.profile(trainer.iterate, 6)["kernels"].get(kernel, {"ms": 0.0})
                 tried[name][str(value)] = found["ms"]
             except Exception as error:  # more registers or shared memory than there are, say
                 tell(f"{name} = {value}: {error}")
