@@ -13,7 +13,9 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
-from typing import Generic, TypeVar
+from typing import Any, Generic, Literal, TypeVar
+
+import tyro
 
 from flowsplat.common.errors import InputError, first_line
 from flowsplat.common.progress import report
@@ -115,6 +117,27 @@ class Registry(Generic[T]):
     def __contains__(self, name: object) -> bool:
         self._load()
         return name in self._found
+
+    def describe(self) -> str:
+        """Return what there is, with the sentence of each: for the help."""
+        return " ".join(f"{entry.name}: {entry.sentence}" for entry in self.entries())
+
+    def option(self, are_many: bool = False) -> Any:
+        """Annotate a setting whose value is a name, or ``are_many`` of them: the command line takes no others, and its help says
+        what each is. Members are looked for when a command line is read, not when this is called.
+
+        Examples:
+            ``paths: Annotated[tuple[str, ...], PATHS.option(are_many=True)] = ("input",)``
+        """
+
+        def make_type() -> Any:
+            one = Literal[self.names()]  # type: ignore[valid-type]
+            return tuple[one, ...] if are_many else one  # type: ignore[valid-type]
+
+        def hint(default: str) -> str:
+            return f"{self.describe()} (default: {re.sub(r'[^a-z0-9_ -]', '', default)})"
+
+        return tyro.conf.arg(constructor_factory=make_type, help_behavior_hint=hint)
 
     def _load(self) -> None:
         if self._is_loaded:

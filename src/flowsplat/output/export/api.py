@@ -22,7 +22,7 @@ from flowsplat.output.export.spz import bytes_per_gaussian, write_spz
 from flowsplat.output.export.still import still_at
 from flowsplat.output.player.pack import estimate_bytes
 from flowsplat.output.player.page import write_player
-from flowsplat.output.videos.plans import loop_widths
+from flowsplat.output.videos.amplitudes import loop_widths
 from flowsplat.scenes import Scene
 from flowsplat.splatting.harmonics import harmonics_count
 

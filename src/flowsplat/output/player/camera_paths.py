@@ -13,7 +13,7 @@ from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath
 from flowsplat.geometry.rotations import rotations_to_quats
 from flowsplat.output.videos.options import RenderOptions
-from flowsplat.output.videos.plans import subject_distance
+from flowsplat.output.videos.shots import subject_distance
 from flowsplat.output.videos.stabilized import stabilize
 
 PATH_SAMPLES = 4
