@@ -16,7 +16,7 @@ WIGGLE_FRAMES = 16
 """Frames of one swing of a wiggle, there and back. Chosen by eye."""
 
 
-def swing_a_little(request: PathRequest) -> Sequence[Camera]:
+def shift_aside(request: PathRequest) -> Sequence[Camera]:
     """Return one swing to the right, back, to the left and back, by half the distance of the eyes."""
     swing = np.sin(request.phases) * request.eye_distance / 2 * request.distance
     views = zip(request.own, request.times.tolist(), swing.tolist(), strict=True)
@@ -24,6 +24,6 @@ def swing_a_little(request: PathRequest) -> Sequence[Camera]:
 
 
 WIGGLE = VideoPath(
-    swing_a_little, "wiggle", stands_still=True, loop_seconds=WIGGLE_FRAMES / GIF_FPS, frames=WIGGLE_FRAMES, kind="gif"
+    shift_aside, "wiggle", stands_still=True, loop_seconds=WIGGLE_FRAMES / GIF_FPS, frames=WIGGLE_FRAMES, kind="gif"
 )  # fmt: skip
 PATHS.add(Entry("wiggle", "Wiggle", "A small swing that shows depth, as a GIF.", WIGGLE, place=60))
