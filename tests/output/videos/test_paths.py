@@ -61,9 +61,11 @@ def test_an_added_path_may_stand_still_and_turn(run, climb):
 
 def test_the_help_says_what_paths_there_are(capsys, climb):
     text = help_of(capsys, "render")
-    assert "{input,stabilized,orbit,bullet,dolly,wiggle,climb}" in text
+    assert "{" + ",".join(PATHS.names()) + "}" in text
+    assert PATHS.names()[:6] == ("input", "stabilized", "orbit", "bullet", "dolly", "wiggle")
     assert "orbit: Round the middle of the clip." in text
-    assert "climb: From half a median depth above. (default: input orbit bullet)" in text
+    assert "climb: From half a median depth above." in text
+    assert "(default: input orbit bullet)" in text
 
 
 def test_unknown_paths_are_refused_at_once(capsys, tmp_path):
