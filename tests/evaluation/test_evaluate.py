@@ -80,7 +80,7 @@ def test_without_a_static_model_its_row_is_null(world, build_scene):
 
 
 def test_baselines_can_be_left_out(world, build_scene, monkeypatch):
-    monkeypatch.setattr(module, "predict_frame", lambda *_: pytest.fail("computed"))
+    monkeypatch.setattr(module, "predict", lambda *_: pytest.fail("computed"))
     metrics = evaluate(world, build_scene(), baselines=False)
     assert metrics["baselines"] is None
     assert metrics["baselines_views"] is None

@@ -14,6 +14,7 @@ from markupsafe import Markup
 
 from flowsplat.common.durations import format_duration
 from flowsplat.common.run_paths import RunPaths
+from flowsplat.evaluation.baselines import title_of
 from flowsplat.evaluation.scores import pick
 from flowsplat.images.charts import Points, line_chart
 from flowsplat.images.colors import error_to_color, flow_legend, flow_scale, flow_to_color
@@ -25,13 +26,6 @@ from flowsplat.priors.objects.description import sureness
 _EVEN_DECIBELS = 0.1
 """Decibels of PSNR that are not visible. Chosen by eye."""
 
-_METHODS = {
-    "flow_interpolation": "interpolated by flow",
-    "blend": "both neighbors, blended",
-    "copy": "frame before, copied",
-    "warp_by_depth": "warped by true depth",
-    "static": "static scene",
-}
 _STAGES = {
     "coarse": "coarse scene", "train": "training", "static": "static scene", "evaluate": "measuring", "render": "videos",
 }  # fmt: skip
@@ -268,7 +262,7 @@ def _scores(metrics: Mapping[str, Any], ours: str, others: str, regions: Sequenc
     header += ["PSNR, pose refined", "SSIM, pose refined"] if refined else []
     measured = [(name, value) for name, value in (pick(metrics, others) or {}).items() if value is not None]
     rows = []
-    for name, values in [("this scene", metrics[ours]), *((_METHODS.get(name, name), value) for name, value in measured)]:
+    for name, values in [("this scene", metrics[ours]), *((title_of(name), value) for name, value in measured)]:
         row = [
             name,
             figure(pick(values, "psnr")),
