@@ -51,7 +51,7 @@ class Thrown(RigidMotion):
         return {**params, "means": moved.means, "velocities": moved.velocities, "times": params["times"] + shift}
 
 
-@register("thrown", "Thrown", "flies like a thrown ball")
+@register("thrown", "Thrown", "Flies like a thrown ball.")
 def thrown(settings: ModelConfig) -> Thrown:
     return Thrown()
 

@@ -3,9 +3,10 @@
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
+import tyro
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.registry import Entry, Registry
@@ -79,6 +80,24 @@ def test_what_others_break_is_left_out(curves: Make, source: str, reason: str, c
     told = capsys.readouterr()
     assert "curve bad of package others is left out" in told.out + told.err
     assert reason in told.out + told.err
+
+
+def test_an_option_takes_the_names_and_its_help_says_what_they_are(curves: Make, capsys: pytest.CaptureFixture[str]) -> None:
+    found = curves(step=HEAD + "@CURVES.register('step', 'Step', 'Jumps.')\ndef step(x):\n    return x > 0\n")
+
+    def draw(kind, others=("line",)):  # type: ignore[no-untyped-def]
+        return kind, others
+
+    draw.__annotations__ = {
+        "kind": Annotated[str, found.option()], "others": Annotated[tuple[str, ...], found.option(are_many=True)]
+    }  # fmt: skip
+    assert tyro.cli(draw, args=["--kind", "step", "--others", "bend", "line"]) == ("step", ("bend", "line"))
+    assert tyro.cli(draw, args=["--kind", "bend"]) == ("bend", ("line",))
+    for arguments, words in ((["--kind", "curl"], "curl"), (["--help"], "line: Is straight. step: Jumps. (default: line)")):
+        with pytest.raises(SystemExit):
+            tyro.cli(draw, args=arguments)
+        told = capsys.readouterr()
+        assert words in " ".join((told.out + told.err).replace("│", " ").split())
 
 
 @pytest.mark.parametrize("name", ["", "Line", "a b", "../up", "-x", "1st", "a--b", "a.b", "ä"])

@@ -6,7 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from flowsplat.evaluation.baselines import copy_to_view, predict_frame, to_float, warp_by_depth
+from flowsplat.evaluation.baselines import HeldoutImage, predict, to_float
+from flowsplat.evaluation.baselines.copy import copy_to_view
+from flowsplat.evaluation.baselines.warp_by_depth import warp_by_depth
 from flowsplat.evaluation.metrics import psnr
 from flowsplat.evaluation.scores import score_image, summarize
 from flowsplat.geometry import Camera
@@ -31,14 +33,14 @@ def sliding_scene(folder: Path, timestamps: list[float], shifts: list[float]) ->
 def test_flow_interpolation_follows_the_motion_and_blend_does_not(tmp_path):
     scene = sliding_scene(tmp_path / "scene", [0.0, 1.0, 2.0], [0.0, 3.0, 6.0])
     target = to_float(scene.heldout_frame(1))[8:-8, 8:-8]
-    scores = {name: psnr(image[8:-8, 8:-8], target) for name, image in predict_frame(scene, 1).items()}
+    scores = {name: psnr(image[8:-8, 8:-8], target) for name, image in predict(HeldoutImage(scene, 1)).items()}
     assert scores["copy"] < scores["blend"] < scores["flow_interpolation"]
     assert scores["flow_interpolation"] > 35
 
 
 def test_the_held_out_time_sets_the_weights(tmp_path):
     scene = sliding_scene(tmp_path / "scene", [0.0, 1.0, 4.0], [0.0, 1.5, 6.0])
-    predictions = predict_frame(scene, 1)
+    predictions = predict(HeldoutImage(scene, 1))
     first, second = to_float(scene.frame(0)), to_float(scene.frame(2))
     np.testing.assert_allclose(predictions["blend"], 0.75 * first + 0.25 * second, atol=1e-6)
     np.testing.assert_array_equal(predictions["copy"], first)
@@ -59,7 +61,7 @@ def test_a_held_out_frame_at_either_end_is_predicted_from_its_only_neighbor(tmp_
     scene = sliding_scene(tmp_path / "scene", [0.0, 1.0, 2.0, 3.0, 4.0, 5.0], [0.0, 2.0, 4.0, 6.0, 8.0, 10.0])
     scene = hold_out(scene, [0, 1, 5])
     for i, neighbor in ((0, 2), (1, 2), (5, 4)):
-        predictions = predict_frame(scene, i)
+        predictions = predict(HeldoutImage(scene, i))
         assert set(predictions) == {"copy", "blend", "flow_interpolation"}
         for image in predictions.values():
             np.testing.assert_array_equal(image, to_float(scene.frame(neighbor)))
@@ -146,7 +148,7 @@ def test_predicting_held_out_frames_of_davis(tmp_path, clip, expected):
         for k in (i - 1, i, i + 1):
             scene.write_frame(k, read_rgb(paths[k]))
         target = to_float(scene.heldout_frame(i))
-        for name, image in predict_frame(scene, i).items():
+        for name, image in predict(HeldoutImage(scene, i)).items():
             scores[name].append(score_image(image, target, {}, None))
     for name, (expected_psnr, expected_ssim) in expected.items():
         figures = summarize(scores[name])

@@ -7,10 +7,13 @@ from scipy.spatial.transform import Rotation
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import write_json
+from flowsplat.common.registry import Entry
 from flowsplat.evaluation import evaluate as module
+from flowsplat.evaluation.baselines import BASELINES, Baseline, HeldoutImage, title_of
 from flowsplat.evaluation.evaluate import evaluate
 from flowsplat.evaluation.metrics import MAX_PSNR
 from flowsplat.geometry import Similarity
+from flowsplat.pipeline.summary import list_rows
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import read_image
 
@@ -79,8 +82,27 @@ def test_without_a_static_model_its_row_is_null(world, build_scene):
     assert metrics["baselines_views"]["static"] is None
 
 
+def test_a_baseline_that_somebody_adds_is_measured_and_shown(world, build_scene, monkeypatch):
+    """In the figures, the summary, and with its title in the report, where it is not known by its name."""
+    BASELINES.names()  # what there is, is looked for once
+    monkeypatch.setattr(BASELINES, "_found", dict(BASELINES._found))
+    asked: list[HeldoutImage] = []
+
+    def predict_gray(image: HeldoutImage) -> np.ndarray | None:
+        asked.append(image)
+        return np.full((image.scene.height, image.scene.width, 3), 0.5, np.float32)
+
+    BASELINES.add(Entry("mid_gray", "nothing but gray", "Gray.", Baseline(predict_gray, of_views=False)))
+    metrics = evaluate(world, build_scene())
+    assert 5 < metrics["baselines"]["mid_gray"]["psnr"] < metrics["baselines"]["copy"]["psnr"]
+    assert "mid_gray" not in metrics["baselines_views"]
+    assert {image.view for image in asked} == {None}
+    assert ("nothing but gray, PSNR", ("baselines", "mid_gray", "psnr"), ".2f") in list_rows()
+    assert (title_of("mid_gray"), title_of("of a package that is gone")) == ("nothing but gray", "of a package that is gone")
+
+
 def test_baselines_can_be_left_out(world, build_scene, monkeypatch):
-    monkeypatch.setattr(module, "predict_frame", lambda *_: pytest.fail("computed"))
+    monkeypatch.setattr(module, "predict", lambda *_: pytest.fail("computed"))
     metrics = evaluate(world, build_scene(), baselines=False)
     assert metrics["baselines"] is None
     assert metrics["baselines_views"] is None

@@ -52,6 +52,6 @@ class Balls:
         return {**params, "log_radii": params["log_radii"] - log_factor, "log_lives": lives}
 
 
-@register("balls", "Balls", "round and drifting")
+@register("balls", "Balls", "Round and drifting.")
 def balls(settings):
     return Balls()

@@ -38,7 +38,7 @@ class Drift(RigidMotion):
         return {**params, "means": params["means"] + params["drifts"] * shift[:, None], "times": params["times"] + shift}
 
 
-@register("drift", "Drift", "everything flies straight on")
+@register("drift", "Drift", "Everything flies straight on.")
 def drift(settings: ModelConfig) -> Drift:
     """Return the model; it has no settings."""
     return Drift()

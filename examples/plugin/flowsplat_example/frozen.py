@@ -9,7 +9,7 @@ from flowsplat.training.step import StepOutput
 from flowsplat.training.strategies import STRATEGIES
 
 
-@STRATEGIES.register("frozen", "Frozen", "every Gaussian stays as it came")
+@STRATEGIES.register("frozen", "Frozen", "Every Gaussian stays as it came.")
 class Frozen:
     """Adds and removes nothing."""
 

@@ -13,7 +13,9 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
-from typing import Generic, TypeVar
+from typing import Any, Generic, Literal, TypeVar
+
+import tyro
 
 from flowsplat.common.errors import InputError, first_line
 from flowsplat.common.progress import report
@@ -108,10 +110,6 @@ class Registry(Generic[T]):
             raise InputError(f"Unknown {self.what} {name!r}: choose one of {', '.join(self.names())}.")
         return self._found[name]
 
-    def hint(self, default: str) -> str:
-        """Return what the help says behind a setting that takes one of the names: each with its sentence, and the default."""
-        return f"({'; '.join(f'{entry.name} = {entry.sentence}' for entry in self.entries())}; default: {default})"
-
     def __getitem__(self, name: str) -> T:
         """Return what the member of that name does; raises as ``entry``."""
         return self.entry(name).value
@@ -119,6 +117,27 @@ class Registry(Generic[T]):
     def __contains__(self, name: object) -> bool:
         self._load()
         return name in self._found
+
+    def describe(self) -> str:
+        """Return what there is, with the sentence of each: for the help."""
+        return " ".join(f"{entry.name}: {entry.sentence}" for entry in self.entries())
+
+    def option(self, are_many: bool = False) -> Any:
+        """Annotate a setting whose value is a name, or ``are_many`` of them: the command line takes no others, and its help says
+        what each is. Members are looked for when a command line is read, not when this is called.
+
+        Examples:
+            ``paths: Annotated[tuple[str, ...], PATHS.option(are_many=True)] = ("input",)``
+        """
+
+        def make_type() -> Any:
+            one = Literal[self.names()]  # type: ignore[valid-type]
+            return tuple[one, ...] if are_many else one  # type: ignore[valid-type]
+
+        def hint(default: str) -> str:
+            return f"{self.describe()} (default: {re.sub(r'[^a-z0-9_ -]', '', default)})"
+
+        return tyro.conf.arg(constructor_factory=make_type, help_behavior_hint=hint)
 
     def _load(self) -> None:
         if self._is_loaded:

@@ -36,7 +36,7 @@ import numpy as np
 
 from flowsplat.common.progress import track
 from flowsplat.common.threads import in_threads
-from flowsplat.evaluation.baselines import copy_to_view, predict_frame, to_float, warp_by_depth
+from flowsplat.evaluation.baselines import HeldoutImage, list_baselines, predict, to_float
 from flowsplat.evaluation.motion import MotionErrors, read_object_mask
 from flowsplat.evaluation.perceptual import lpips_metric
 from flowsplat.evaluation.placement import view_camera
@@ -54,8 +54,6 @@ Refine = Callable[[Camera, float, np.ndarray], Camera]
 
 FRAME_REGIONS = ("moving",)
 VIEW_REGIONS = ("moving", "covisible")
-FRAME_BASELINES = ("copy", "blend", "flow_interpolation", "static")
-VIEW_BASELINES = ("copy", "warp_by_depth", "static")
 
 TRAINING_STRIDE = 8
 """Every how many training frames one is measured, fewer where that would leave less than eight."""
@@ -111,8 +109,8 @@ def evaluate(
         "heldout_views": summarize(views, VIEW_REGIONS),
         "training_frames": summarize(training, FRAME_REGIONS),
         "training_stride": stride,
-        "baselines": _summarize_baselines(frames, FRAME_BASELINES, FRAME_REGIONS),
-        "baselines_views": _summarize_baselines(views, VIEW_BASELINES, VIEW_REGIONS),
+        "baselines": _summarize_baselines(frames, list_baselines(of_views=False), FRAME_REGIONS),
+        "baselines_views": _summarize_baselines(views, list_baselines(of_views=True), VIEW_REGIONS),
         **errors.figures(),
         "lpips_reason": evaluator.lpips_reason,
         "per_image": frames + views + training,
@@ -151,11 +149,10 @@ class _Evaluator:
         """Render, write and score a held-out frame with the camera that the camera stage found for it."""
         scene = self._scene
         masks = scene.heldout_masks
-        predictions = predict_frame(scene, i) if self._baselines else {}
         camera, target = scene.cameras[i], to_float(scene.heldout_frame(i))
         regions = {"moving": masks.mask(i) > 0 if masks.has_mask(i) else None}
         what = {"kind": "heldout_frame", "name": f"{i:05d}", "frame": i}
-        figures = self._heldout_image(what, "heldout", camera, target, regions, predictions)
+        figures = self._heldout_image(what, "heldout", camera, target, regions)
         if self._refine is not None:
             seconds = float(scene.timestamps[i])
             image = _finite(self._model.render(self._refine(camera, seconds, target), seconds)).color
@@ -165,22 +162,13 @@ class _Evaluator:
     def score_heldout_view(self, view: HeldoutView) -> Figures:
         """Render, write and score a held-out view."""
         scene = self._scene
-        predictions = {}
-        if self._baselines:
-            is_heldout = view.frame in scene.heldout_frames
-            image = scene.heldout_frame(view.frame) if is_heldout else scene.frame(view.frame)
-            predictions["copy"] = copy_to_view(image, view.camera)
-            truth = scene.truth
-            if truth is not None and truth.has_cameras and truth.has_depth(view.frame):
-                depth, camera = truth.depth(view.frame).depth, truth.cameras[view.frame]
-                predictions["warp_by_depth"] = warp_by_depth(image, depth, camera, view.camera)
         return self._heldout_image(
             {"kind": "heldout_view", "name": view.name, "frame": view.frame},
             "views",
             view_camera(scene, view),
             to_float(scene.view_image(view)),
             {"moving": scene.view_mask(view), "covisible": scene.view_mask(view, "covisible")},
-            predictions,
+            view,
         )
 
     def score_training_frame(self, i: int, rendering: Rendering) -> Figures:
@@ -202,12 +190,13 @@ class _Evaluator:
         camera: Camera,
         target: np.ndarray,
         regions: dict[str, np.ndarray | None],
-        predictions: dict[str, np.ndarray],
+        view: HeldoutView | None = None,
     ) -> Figures:
         seconds = float(self._scene.timestamps[what["frame"]])
         image = _finite(self._model.render(camera, seconds)).color
-        if self._static_model is not None:
-            predictions = {**predictions, "static": _finite(self._static_model.render(camera, seconds)).color}
+        static = self._static_model
+        render_static = None if static is None else lambda: _finite(static.render(camera, seconds)).color
+        predictions = predict(HeldoutImage(self._scene, what["frame"], view, render_static)) if self._baselines else {}
         if self._folder is not None:
             self._write(self._folder / subfolder, what["name"], image, target)
         scores = {

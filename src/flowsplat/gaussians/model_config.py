@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-import tyro
 from msgspec import Meta
 
 from flowsplat.common.bounds import Amount, Fraction, bounds_in_help
@@ -21,7 +20,7 @@ MOTION_MODELS: Registry[Callable[..., Any]] = Registry("motion model", "flowspla
 class ModelConfig:
     """What one Gaussian is made of (docs/method.md, "Representation")."""
 
-    kind: Annotated[str, tyro.conf.arg(help_behavior_hint=MOTION_MODELS.hint)] = "series"
+    kind: Annotated[str, MOTION_MODELS.option()] = "series"
     """Motion model."""
     move_means: bool = True
     """Means move along polynomial + Fourier series. Off: the vanilla term, a straight line (the paper's ablation)."""

@@ -60,10 +60,11 @@ def orbit(camera: Camera | Sequence[Camera], distance: float, steps: int, angle:
     """
     cameras = [camera] * steps if isinstance(camera, Camera) else camera
     phases = np.linspace(0, 2 * np.pi, steps, endpoint=False)
-    return [_on_orbit(each, distance, phase, angle) for each, phase in zip(cameras, phases, strict=True)]
+    return [move_on_orbit(each, distance, phase, angle) for each, phase in zip(cameras, phases, strict=True)]
 
 
-def _on_orbit(camera: Camera, distance: float, phase: float, angle: float) -> Camera:
+def move_on_orbit(camera: Camera, distance: float, phase: float, angle: float) -> Camera:
+    """``camera`` moved to one place of that loop: ``phase`` goes from 0 to 2 pi."""
     yaw, pitch = np.radians(angle) * np.sin(phase), np.radians(angle / 2) * (1 - np.cos(phase)) / 2
     R, target = camera.viewmat[:3, :3], camera.center + camera.viewmat[2, :3] * distance
     turned = Rotation.from_euler("yx", [-yaw, pitch]).as_matrix() @ R

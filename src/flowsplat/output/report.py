@@ -14,34 +14,18 @@ from markupsafe import Markup
 
 from flowsplat.common.durations import format_duration
 from flowsplat.common.run_paths import RunPaths
+from flowsplat.evaluation.baselines import title_of
 from flowsplat.evaluation.scores import pick
 from flowsplat.images.charts import Points, line_chart
 from flowsplat.images.colors import error_to_color, flow_legend, flow_scale, flow_to_color
 from flowsplat.images.html import figure, image_tag, table
 from flowsplat.output.page import card, image_row, write_page
+from flowsplat.output.videos.paths import PATHS
 from flowsplat.priors.objects.description import sureness
-
-"""Where the videos lie, seen from the report."""
 
 _EVEN_DECIBELS = 0.1
 """Decibels of PSNR that are not visible. Chosen by eye."""
 
-_VIDEO_TITLES = {
-    "input_path": "Along the clip's own cameras",
-    "stabilized": "Along the clip's own cameras, without the shaking",
-    "orbit": "Round the middle of the clip",
-    "bullet_time": "Time standing still",
-    "dolly_zoom": "Back and zoomed in, the subject as large",
-    "wiggle": "A small swing",
-    "custom_path": "Along the given camera path",
-}
-_METHODS = {
-    "flow_interpolation": "interpolated by flow",
-    "blend": "both neighbors, blended",
-    "copy": "frame before, copied",
-    "warp_by_depth": "warped by true depth",
-    "static": "static scene",
-}
 _STAGES = {
     "coarse": "coarse scene", "train": "training", "static": "static scene", "evaluate": "measuring", "render": "videos",
 }  # fmt: skip
@@ -278,7 +262,7 @@ def _scores(metrics: Mapping[str, Any], ours: str, others: str, regions: Sequenc
     header += ["PSNR, pose refined", "SSIM, pose refined"] if refined else []
     measured = [(name, value) for name, value in (pick(metrics, others) or {}).items() if value is not None]
     rows = []
-    for name, values in [("this scene", metrics[ours]), *((_METHODS.get(name, name), value) for name, value in measured)]:
+    for name, values in [("this scene", metrics[ours]), *((title_of(name), value) for name, value in measured)]:
         row = [
             name,
             figure(pick(values, "psnr")),
@@ -371,7 +355,8 @@ def video_title(name: str) -> str:
         words.insert(0, f"{times} times slower")
     if rest.startswith("custom_path_"):
         rest = f"Along the camera path {rest.removeprefix('custom_path_')}"
-    return ", ".join([_VIDEO_TITLES.get(rest, rest), *words])
+    titles = {entry.value.file: entry.sentence.rstrip(".") for entry in PATHS.entries()}
+    return ", ".join([titles.get(rest, rest), *words])
 
 
 def _charts(data: ReportData) -> Iterator[dict[str, Any]]:

@@ -19,7 +19,7 @@ from flowsplat.pipeline.config import format_option
 from flowsplat.pipeline.folder import RunFolder
 from flowsplat.pipeline.python_run import Run
 from flowsplat.pipeline.stages import read_metrics
-from flowsplat.pipeline.summary import ROWS, comparisons, pick_all
+from flowsplat.pipeline.summary import comparisons, list_rows, pick_all
 from flowsplat.scenes import Scene
 
 NAME = "compare.html"
@@ -109,7 +109,7 @@ def _has_same_frames(one: Scene, other: Scene) -> bool:
 def _figures(metrics: Sequence[Mapping[str, Any]]) -> list[ComparedFigure]:
     """Return the rows of the terminal's table, and the time."""
     found = []
-    for label, path, style in ROWS:
+    for label, path, style in list_rows():
         values = [None if value is None else format(value, style) for value in pick_all(metrics, path)]
         if any(value is not None for value in values):
             found.append(ComparedFigure(label, values, _find_best(path, values)))

@@ -12,6 +12,7 @@ from flowsplat.common.devices import DeviceName, pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.settings import flat, list_setting_types, to_plain
 from flowsplat.output.videos import RenderOptions
+from flowsplat.output.videos.options import check_paths
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.training.config import PRESETS, TrainConfig
@@ -99,4 +100,5 @@ def check(config: RunConfig) -> None:
         if isinstance(value, float) and not math.isfinite(value):
             raise InputError(f"{format_option(name)} is {value}: give a number.")
     config.train.check()
+    check_paths(config.render.paths)
     pick_device(config.device)

@@ -15,7 +15,7 @@ from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.images.html import format_facts
 from flowsplat.output.export.api import export_scene
-from flowsplat.output.export.options import ExportOptions, Format
+from flowsplat.output.export.options import ExportOptions
 from flowsplat.pipeline import stages
 from flowsplat.pipeline.config import RunConfig, check, find_setting, format_option
 from flowsplat.pipeline.config import preset as settings_of
@@ -115,18 +115,17 @@ def run(
 
 
 def export(
-    source: Run | str | Path, to: Format, out: str | Path | None = None, *, time: float | None = None, flip_axes: bool = False,
+    source: Run | str | Path, to: str, out: str | Path | None = None, *, time: float | None = None, flip_axes: bool = False,
     max_gaussians: int | None = None,
 ) -> Path:  # fmt: skip
     """Write a trained run in the format of other programs, or as a page that plays it.
 
     Args:
         source: the run, or its folder.
-        to: ``html`` (the player), ``ply``, ``ply-sequence``, ``splat``, ``spz``, ``npz``, ``safetensors``, ``colmap`` or
-            ``nerfstudio`` (the cameras).
+        to: ``html`` (the player), or another of the formats of docs/formats.md, such as ``ply``.
         out: the file or folder to write; None = in the folder of the run, in ``export/``.
-        time: seconds of the clip at which ply, splat and spz show it; None = the middle.
-        flip_axes: turn y up and z backward (ply, ply-sequence, splat).
+        time: seconds of the clip that a format of one time shows; None = the middle.
+        flip_axes: turn y up and z backward, in formats that do not prescribe their axes.
         max_gaussians: keep at most this many: those that hold most of the training frames. None = all.
 
     Returns:

@@ -15,6 +15,7 @@ from flowsplat.common.durations import format_duration
 from flowsplat.common.errors import InputError
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import flat, to_plain
+from flowsplat.evaluation.baselines import list_baselines, title_of
 from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.renderer import Renderer
 from flowsplat.output.report import Comparison, FlowComparison, ReportData
@@ -31,7 +32,10 @@ SHOWN_NOTE = (
     "figure and every comparison here is of the model before that (model/), which has not seen them."
 )
 
-ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
+Row = tuple[str, tuple[str, ...], str]
+"""What a figure is called, the keys that lead to it, and how it is written."""
+
+_OURS: tuple[Row, ...] = (
     ("held-out frames, PSNR", ("heldout_frames", "psnr"), ".2f"),
     ("held-out frames, SSIM", ("heldout_frames", "ssim"), ".3f"),
     ("held-out frames, PSNR inside the masks", ("heldout_frames", "moving", "psnr"), ".2f"),
@@ -40,10 +44,8 @@ ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("held-out views, SSIM", ("heldout_views", "ssim"), ".3f"),
     ("held-out views, PSNR of objects", ("heldout_views", "moving", "psnr"), ".2f"),
     ("training frames, PSNR", ("training_frames", "psnr"), ".2f"),
-    ("copy of the neighboring frame, PSNR", ("baselines", "copy", "psnr"), ".2f"),
-    ("blend of both neighbors, PSNR", ("baselines", "blend", "psnr"), ".2f"),
-    ("flow interpolation, PSNR", ("baselines", "flow_interpolation", "psnr"), ".2f"),
-    ("static scene, PSNR", ("baselines", "static", "psnr"), ".2f"),
+)
+_REST: tuple[Row, ...] = (
     ("static scene, PSNR inside the masks", ("baselines", "static", "moving", "psnr"), ".2f"),
     ("views by warping with true depth, PSNR", ("baselines_views", "warp_by_depth", "psnr"), ".2f"),
     ("views by warping, PSNR of objects", ("baselines_views", "warp_by_depth", "moving", "psnr"), ".2f"),
@@ -57,13 +59,19 @@ ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
 )
 
 
+def list_rows() -> tuple[Row, ...]:
+    """Return the figures that a run shows at its end, those of every baseline among them."""
+    baselines = ((f"{title_of(name)}, PSNR", ("baselines", name, "psnr"), ".2f") for name in list_baselines(of_views=False))
+    return (*_OURS, *baselines, *_REST)
+
+
 def figures_table(runs: Mapping[str, Mapping[str, Any]]) -> Table:
     """Return one column a run; rows that no run has are left out."""
     table = Table(box=None, pad_edge=False)
     table.add_column("")
     for name in runs:
         table.add_column(name, justify="right")
-    for label, path, style in ROWS:
+    for label, path, style in list_rows():
         values = pick_all(list(runs.values()), path)
         if any(value is not None for value in values):
             table.add_row(label, *("–" if value is None else format(value, style) for value in values))

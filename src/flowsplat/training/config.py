@@ -143,7 +143,7 @@ class TrainConfig:
 
     iterations: Count = 1500
     """Optimizer steps."""
-    strategy: Annotated[str, tyro.conf.arg(help_behavior_hint=STRATEGIES.hint)] = "default"
+    strategy: Annotated[str, STRATEGIES.option()] = "default"
     """Who adds and removes Gaussians, and when."""
     frames_per_iteration: Annotated[int, Meta(ge=0, le=10_000)] = 1
     """Frames rendered in a step; their losses are averaged. 0 = all (the paper, read literally)."""

@@ -7,18 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
+from flowsplat.evaluation.baselines import BASELINES, list_baselines, title_of
 from flowsplat.evaluation.scores import mean_of, pick
 from flowsplat.images.html import NOTHING
 from flowsplat_benchmarks.datasets.cases import FORMS
 from flowsplat_benchmarks.tables import Column, Result, Table, compute_scaled_mean, label, text
 
-BASELINES = {
-    "copy": "copy of the clip's frame",
-    "blend": "blend of both neighbors",
-    "flow_interpolation": "flow interpolation (DIS)",
-    "warp_by_depth": "warped by true depth",
-    "static": "our static scene",
-}
 DIGITS = {"psnr": 2, "ssim": 3, "lpips": 3}
 NAMES = {"psnr": "PSNR", "ssim": "SSIM", "lpips": "LPIPS (AlexNet)"}
 
@@ -72,9 +66,9 @@ def _matrix(title: str, known: Mapping[str, Any], results: Sequence[Result], met
     for how in dict.fromkeys(_how(result) for result in results):
         group = [result for result in results if _how(result) == how]
         lines.append((f"flowsplat, {how}", _by_scene(group, ("ours", metric)), True))
-        lines.append((f"{BASELINES['static']}, {how}", _by_scene(group, ("baselines", "static", metric)), False))
-    for baseline in ("copy", "blend", "flow_interpolation"):
-        lines.append((BASELINES[baseline], _by_scene(results, ("baselines", baseline, metric)), False))
+        lines.append((f"{title_of('static')}, {how}", _by_scene(group, ("baselines", "static", metric)), False))
+    for baseline in (name for name in list_baselines(of_views=False) if name != "static"):
+        lines.append((title_of(baseline), _by_scene(results, ("baselines", baseline, metric)), False))
     lines = [line for line in lines if any(value is not None for value in line[1].values()) or line[2]]
     rows: list[tuple[str, ...]] = []
     for name, values, _ in lines:
@@ -117,10 +111,10 @@ def _nvidia(known: Mapping[str, Any], results: Sequence[Result]) -> Table:
         ]
         ours.append(len(rows))
         rows.append((f"flowsplat, {how}", *(text(mean, d) for mean, d in zip(means, digits, strict=True))))
-        for name in BASELINES:
+        for name in BASELINES.names():
             scores = [mean_of(pick(result, "baselines", name, metric) for result in group) for metric in DIGITS]
             if any(score is not None for score in scores):
-                rows.append((BASELINES[name], *(text(s, d) for s, d in zip(scores, digits, strict=False)), *[NOTHING] * 4))
+                rows.append((title_of(name), *(text(s, d) for s, d in zip(scores, digits, strict=False)), *[NOTHING] * 4))
     scenes = ", ".join(dict.fromkeys(label(result) for result in results))
     note = f"Published: {known['source']}. Ours: means over {scenes}, on this machine."
     header = (
@@ -145,7 +139,7 @@ def _images(results: Sequence[Result]) -> Table:
             regions = [pick(figures, *path) for path in (("moving", "psnr"), ("moving", "ssim"), ("covisible", "psnr"))]
             if not name:
                 ours.append(len(rows))
-            method = BASELINES[name] if name else f"flowsplat, {_how(result)}"
+            method = title_of(name) if name else f"flowsplat, {_how(result)}"
             extra = [text(value, digits) for value, digits in zip(regions, (2, 3, 2), strict=True)]
             if has_refined:
                 refined = None if name else result.get("refined")

@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 
 from flowsplat.common.files import read_json, write_json, write_text
-from flowsplat.evaluation.baselines import predict_frame, to_float
+from flowsplat.evaluation.baselines import HeldoutImage, to_float
+from flowsplat.evaluation.baselines.flow_interpolation import interpolate_by_flow
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.images.colors import float_to_bytes
@@ -108,7 +109,7 @@ def measure(scene: Scene, world: World, config: TrainConfig, images: Path | None
         target, kinds = to_float(scene.heldout_frame(i)), kinds_of(world, i)
         image = model.render(scene.cameras[i], float(scene.timestamps[i])).color
         found["held out"].append(errors(image, target, kinds))
-        found["flow interpolation"].append(errors(predict_frame(scene, i)["flow_interpolation"], target, kinds))
+        found["flow interpolation"].append(errors(interpolate_by_flow(HeldoutImage(scene, i)), target, kinds))
         if images is not None:
             write_image(images / f"{scene.name}_{i:05d}.png", float_to_bytes(np.concatenate([target, image], 1)))
         k = i - 1

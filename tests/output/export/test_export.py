@@ -21,11 +21,11 @@ from flowsplat.gaussians.render import render
 from flowsplat.gaussians.visibility import with_seen
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.output.camera_files import read_camera_file
-from flowsplat.output.export import FORMATS, ExportOptions, export_scene
-from flowsplat.output.export.api import estimate_size
+from flowsplat.output.export import ExportOptions, export_scene
+from flowsplat.output.export.formats import EXPORTERS
+from flowsplat.output.export.formats.splat import RECORD
+from flowsplat.output.export.formats.spz import write_spz
 from flowsplat.output.export.importance import choose_most_important, sum_blending_weights
-from flowsplat.output.export.splat import RECORD
-from flowsplat.output.export.spz import write_spz
 from flowsplat.output.export.still import rotate_harmonics, still_at
 from flowsplat.priors.given.colmap import read_colmap
 from flowsplat.scenes import Scene
@@ -206,7 +206,7 @@ def test_ply_tells_what_the_clip_has_seen(tmp_path):
     plain = export_scene(model, scene, "ply", tmp_path / "plain.ply", ExportOptions(time=seconds))
     assert not {"seen_frames", "seen_spread"} & {p.name for p in PlyData.read(plain)["vertex"].properties}
     known = with_seen(model, scene.cameras, small_times())
-    size = estimate_size(known, scene, "ply", ExportOptions(time=seconds))
+    size = EXPORTERS["ply"].estimate_bytes(known, scene, ExportOptions(time=seconds))
     path = export_scene(known, scene, "ply", tmp_path / "scene.ply", ExportOptions(time=seconds))
     vertices = PlyData.read(path)["vertex"]
     expected = known.gaussians.seen[known.gaussians.active(known.clip_time(seconds)).rows]
@@ -289,7 +289,7 @@ def test_the_most_important_ones_are_better_than_random_and_than_large_opaque_on
 def test_the_estimate_is_near_the_size(tmp_path, run, to):
     model, scene = small_model(resting=8000, moving=8000), Scene(run / "scene")
     path = export_scene(model, scene, to, tmp_path / f"out.{to}", DEFAULT)
-    assert 0.5 < estimate_size(model, scene, to, DEFAULT) / path.stat().st_size < 2
+    assert 0.5 < EXPORTERS[to].estimate_bytes(model, scene, DEFAULT) / path.stat().st_size < 2
 
 
 @pytest.mark.parametrize(("config", "options"), [(OURS, {}), (LINEAR, {}), (OURS, {"rotation": TURNED}), (OURS, {"moving": 1})])
@@ -320,7 +320,7 @@ def export(capsys, *arguments: object) -> tuple[int, str]:
     return code, capsys.readouterr().err.strip().splitlines()[-1]
 
 
-@pytest.mark.parametrize("to", FORMATS)
+@pytest.mark.parametrize("to", EXPORTERS.names())
 def test_the_command_writes_every_format_into_the_run(capsys, run, to):
     code, line = export(capsys, run, "--to", to)
     assert code == 0
@@ -358,7 +358,7 @@ def test_what_cannot_be_exported_is_said_in_one_line(capsys, tmp_path, run, argu
     assert words in line
 
 
-@pytest.mark.parametrize("to", FORMATS)
+@pytest.mark.parametrize("to", EXPORTERS.names())
 def test_a_run_that_is_still_training_is_refused(capsys, tmp_path, to):
     code, line = export(capsys, tiny_run(tmp_path / "out", trained=False), "--to", to)
     assert code == 2
@@ -378,5 +378,5 @@ def test_a_folder_that_may_not_be_written_is_named(tmp_path, run, monkeypatch):
 @pytest.mark.parametrize(("resting", "moving"), [(0, 1), (40, 0), (40, 1)])
 def test_a_scene_with_hardly_anything_that_moves_can_be_exported(tmp_path, run, resting, moving):
     model = SceneModel(small_gaussians(OURS, resting=resting, moving=moving), Similarity(), FIRST, LAST)
-    for to in FORMATS:
+    for to in EXPORTERS.names():
         export_scene(model, Scene(run / "scene"), to, tmp_path / f"x.{to}", DEFAULT)

@@ -13,7 +13,9 @@ from flowsplat.common.errors import InputError
 from flowsplat.gaussians.visibility import with_seen
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shift_camera
 from flowsplat.output.player import write_player
+from flowsplat.output.player.camera_paths import LOOP_TIMES
 from flowsplat.output.videos.options import RenderOptions
+from flowsplat.output.videos.shots import subject_distance
 from tests.output.small import (
     FIRST,
     HEIGHT,
@@ -344,31 +346,47 @@ def test_two_eyes_see_the_scene_from_their_own_places(open_page, player_file):
     assert page.complaints == []
 
 
+def subject_at(model, share: float) -> float:
+    """Planar depth of what moves in the coordinates of the page, as it interpolates it between the times that it is told."""
+    path, scale = CameraPath(small_times(), small_cameras(model)), model.similarity.scale
+    depths = [scale * subject_distance(model, path.at(float(t)), float(t), 1 / scale) for t in np.linspace(FIRST, LAST, LOOP_TIMES)]
+    return float(np.interp(share, np.linspace(0, 1, LOOP_TIMES), depths))
+
+
+def test_a_path_that_somebody_adds_is_in_the_menu_and_flown(open_page, tmp_path, climb):
+    page = open_page(small_player(tmp_path / "player.html", small_model()))
+    page.page.locator("#time").fill("0.3")
+    own = page.page.evaluate("centerOf(flowsplat.state.camera())")
+    page.page.locator("#camera").select_option(label="up & away")
+    np.testing.assert_allclose(page.page.evaluate("centerOf(flowsplat.state.camera())"), np.array(own) - [0, climb, 0], atol=1e-4)
+    assert page.complaints == []
+
+
 def test_cameras_that_move_by_themselves(open_page, player_file):
     """Each is where ``render`` puts it, and time stands still until it is told to play."""
     page = open_page(player_file)
     model = small_model()
     camera = model.similarity.camera(CameraPath(small_times(), small_cameras(model)).at(FIRST + 0.4 * (LAST - FIRST)))
     page.page.locator("#time").fill("0.4")
-    subject = page.page.evaluate("subjectAt(flowsplat.about.subjectDepths, 0.4)")
+    subject = subject_at(model, 0.4)
     expected = {
-        "swing": orbit(camera, 1.0, 8)[1],
-        "dolly": dolly_zoom(camera, subject, 1.5 ** ((1 - np.cos(np.pi / 4)) / 2)),
-        "wiggle": shift_camera(camera, 0.015 * np.sin(np.pi / 4), subject),
+        "path:bullet": orbit(camera, 1.0, 8)[1],
+        "path:dolly": dolly_zoom(camera, subject, 1.5 ** ((1 - np.cos(np.pi / 4)) / 2)),
+        "path:wiggle": shift_camera(camera, 0.015 * np.sin(np.pi / 4), subject),
     }
     for mode, there in expected.items():
         page.page.evaluate("flowsplat.state.setPlaying(true)")
         page.page.locator("#camera").select_option(mode)
         page.page.evaluate("flowsplat.state.setTime(0.4)")
         assert not page.page.evaluate("flowsplat.state.isPlaying")
-        found = page.page.evaluate("flowsplat.state.cameraLoops.phase = Math.PI / 4; flowsplat.state.camera()")
+        found = page.page.evaluate("flowsplat.state.phase = Math.PI / 4; flowsplat.state.camera()")
         np.testing.assert_allclose(np.reshape(found["rotation"], (3, 3)), there.viewmat[:3, :3], atol=3e-3)
         np.testing.assert_allclose(found["translation"], there.viewmat[:3, 3], atol=3e-3)
         np.testing.assert_allclose(found["lens"], there.K[[0, 1, 0, 1], [0, 1, 2, 2]], rtol=1e-4)
         first = seen(page)  # a slow machine may show the next ones a whole turn later, where they look alike
         assert any(np.abs(seen(page) - first).mean() > 0.05 for _ in range(20)), mode
-    page.page.locator("#camera").select_option("steady")
-    row = page.page.evaluate("flowsplat.about.steadyPath[flowsplat.about.steadyPath.length - 1]")
+    page.page.locator("#camera").select_option("path:stabilized")
+    row = page.page.evaluate("flowsplat.state.path.rows[flowsplat.state.path.rows.length - 1]")
     page.page.locator("#time").fill("1")
     np.testing.assert_allclose(page.page.evaluate("centerOf(flowsplat.state.camera())"), row[1:4], atol=1e-5)
     assert page.complaints == []

@@ -14,7 +14,8 @@ from flowsplat.gaussians.visibility import with_seen
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, shift_camera
 from flowsplat.output.videos import RenderOptions, list_rendered, render_videos
-from flowsplat.output.videos.plans import plan_videos, subject_distance
+from flowsplat.output.videos.plans import plan_videos
+from flowsplat.output.videos.shots import subject_distance
 from flowsplat.output.videos.stabilized import compute_covered_share, stabilize
 from flowsplat.scenes import Scene
 from flowsplat.training.checkpoint import load_model

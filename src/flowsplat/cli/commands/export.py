@@ -2,35 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated
 
 from flowsplat.cli.arguments import NO_PREFIX, Run, Target
 from flowsplat.cli.command import Command
 from flowsplat.common.progress import report
-from flowsplat.output.export.options import ExportOptions, Format
+from flowsplat.common.registry import Entry
+from flowsplat.output.export.formats import EXPORTERS, Exporter
+from flowsplat.output.export.options import ExportOptions
+from flowsplat.pipeline.config import RunConfig
 
 
-def export(
-    out: Run,
-    to: Format,
-    path: Target = None,
-    options: Annotated[ExportOptions, NO_PREFIX] = ExportOptions(),  # noqa: B008 (frozen)
-) -> None:
-    """A trained run in the format of other programs, or as a page that plays it: one .html, no network, no server.
+def build(defaults: RunConfig) -> Callable[..., None]:
+    """Return the command, whose help says what formats there are."""
 
-    Args:
-        out: Folder of the run.
-        to: html (the player), ply (3DGS, at one time), ply-sequence (one ply a frame, as SuperSplat plays it), splat (32 bytes
-            a Gaussian, at one time), spz (compressed, at one time), npz or safetensors (every parameter), colmap or
-            nerfstudio (the cameras).
-        path: File or folder to write; without it, in RUN/export.
-        options: What and how.
-    """
-    from flowsplat import pipeline
-    from flowsplat.output.export import export_scene
-    from flowsplat.scenes import Scene
+    def export(
+        out: Run,
+        to: Annotated[str, EXPORTERS.option()],
+        path: Target = None,
+        options: Annotated[ExportOptions, NO_PREFIX] = ExportOptions(),  # noqa: B008 (frozen)
+    ) -> None:
+        """A trained run in the format of other programs, or as a page that plays it: one .html, no network, no server.
 
-    report(f"Written: {export_scene(pipeline.load(out), Scene(out / 'scene'), to, path, options)}")
+        Args:
+            out: Folder of the run.
+            to: FORMATS
+            path: File or folder to write; without it, in RUN/export.
+            options: What and how.
+        """
+        from flowsplat import pipeline
+        from flowsplat.output.export import export_scene
+        from flowsplat.scenes import Scene
+
+        report(f"Written: {export_scene(pipeline.load(out), Scene(out / 'scene'), to, path, options)}")
+
+    assert export.__doc__ is not None
+    export.__doc__ = export.__doc__.replace("FORMATS", " ".join(map(_describe, EXPORTERS.entries())))
+    return export
 
 
-COMMAND = Command(lambda _: export, place=110)
+def _describe(entry: Entry[Exporter]) -> str:
+    """Say what a format is, and which options are for it that are not for all."""
+    options = {"--time": entry.value.is_of_one_time, "--flip-axes": entry.value.can_flip_axes}
+    taken = ", ".join(option for option, is_taken in options.items() if is_taken)
+    return f"{entry.name}: {entry.sentence.rstrip('.')}{f' ({taken})' if taken else ''}."
+
+
+COMMAND = Command(build, place=110)

@@ -155,6 +155,6 @@ class LinearMotion:
         }
 
 
-@register("linear", "Linear", "the linear 4D Gaussian of 4DGS")
+@register("linear", "Linear", "The linear 4D Gaussian of 4DGS.")
 def _from_settings(_: ModelConfig) -> LinearMotion:
     return LinearMotion()

@@ -109,7 +109,7 @@ class SeriesMotion(RigidMotion):
         return result
 
 
-@register("series", "Series", "polynomials and Fourier series, which the next settings describe")
+@register("series", "Series", "Polynomials and Fourier series, which the next settings describe.")
 def _from_settings(settings: ModelConfig) -> SeriesMotion:
     mean_orders = (settings.mean_poly, settings.mean_fourier) if settings.move_means else (1, 0)
     quat_orders = (settings.quat_poly, settings.quat_fourier) if settings.move_quats else (0, 0)

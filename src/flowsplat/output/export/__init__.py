@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from flowsplat.output.export.options import FORMATS, ExportOptions, Format
+from flowsplat.output.export.options import ExportOptions
 
-__all__ = ["FORMATS", "ExportOptions", "Format", "export_scene"]
+__all__ = ["ExportOptions", "export_scene"]
 
 
 def __getattr__(name: str) -> Any:

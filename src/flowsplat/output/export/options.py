@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
-
-Format = Literal["html", "ply", "ply-sequence", "splat", "spz", "npz", "safetensors", "colmap", "nerfstudio"]
-FORMATS: tuple[str, ...] = get_args(Format)
 
 
 @dataclass(frozen=True)
@@ -14,9 +10,9 @@ class ExportOptions:
     """What of a scene is exported, and how."""
 
     time: float | None = None
-    """Seconds of the clip at which ply, splat and spz show it. None = the middle."""
+    """Seconds of the clip that a format of one time shows. None = the middle."""
     flip_axes: bool = False
-    """Turn y up and z backward (ply, ply-sequence, splat): for viewers that show the scene upside down, as SuperSplat does.
-    spz prescribes these axes and always has them."""
+    """Turn y up and z backward, in formats that do not prescribe their axes: for viewers that show the scene upside down, as
+    SuperSplat does."""
     max_gaussians: int | None = None
     """Keep at most this many: those that hold most of the training frames. None = all."""

@@ -1,19 +1,16 @@
-"""Export every parameter of the 4D scene in one file, by the names of docs/method.md; docs/formats.md has the schema."""
+"""What formats of every parameter of the 4D scene hold; docs/formats.md has the schema."""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
-import numpy as np
 from torch import Tensor
 
 from flowsplat import __version__
-from flowsplat.common.files import write_npz
 from flowsplat.common.settings import to_plain
 from flowsplat.gaussians.model import SceneModel
-from flowsplat.training.checkpoint import write_tensors
+from flowsplat.output.export.options import ExportOptions
+from flowsplat.scenes import Scene
 
 VERSION = 1
 
@@ -32,26 +29,14 @@ def about_parameters(model: SceneModel) -> dict[str, Any]:
     }
 
 
-def write_parameters_npz(path: Path, model: SceneModel) -> None:
-    """An ``.npz``; its member ``about`` is JSON text.
-
-    Raises:
-        InputError: it cannot be written.
-    """
-    arrays = {name: value.numpy() for name, value in _tensors(model).items()}
-    write_npz(path, {**arrays, "about": np.array(json.dumps(about_parameters(model)))})
-
-
-def write_parameters_safetensors(path: Path, model: SceneModel) -> None:
-    """A ``.safetensors``; the metadata ``values`` is JSON text.
-
-    Raises:
-        InputError: it cannot be written.
-    """
-    write_tensors(path, _tensors(model), about_parameters(model))
-
-
-def _tensors(model: SceneModel) -> dict[str, Tensor]:
+def parameter_tensors(model: SceneModel) -> dict[str, Tensor]:
+    """Return the arrays, by the names of docs/method.md."""
     gaussians = model.gaussians
     seen = {} if gaussians.seen is None else {"seen": gaussians.seen}
     return {**gaussians.params, "dynamic": gaussians.dynamic, "object_ids": gaussians.object_ids, **seen}
+
+
+def estimate_parameters_bytes(model: SceneModel, scene: Scene, options: ExportOptions) -> int:
+    """Return about how many they are: those of all parameters, uncompressed, and of what is known of each Gaussian."""
+    gaussians = model.gaussians
+    return sum(value.numel() * value.element_size() for value in gaussians.params.values()) + 2 * len(gaussians)

@@ -95,6 +95,11 @@ def still_at(model: SceneModel, seconds: float, *, flip_axes: bool = False) -> S
     )
 
 
+def middle_or(model: SceneModel, seconds: float | None) -> float:
+    """Return these seconds of the clip, its middle where there are none."""
+    return (model.first + model.last) / 2 if seconds is None else seconds
+
+
 def rotate_harmonics(sh: Tensor, rotation: Tensor) -> Tensor:
     """Return harmonics [A, K, 3] of Gaussians that are turned by ``rotation`` [3, 3]: seen along R d they look as before along
     d."""

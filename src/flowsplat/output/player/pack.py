@@ -39,8 +39,6 @@ PIXEL_TOLERANCE = 1 / 32
 """Pixels of the clip by which rounding may move a Gaussian. Chosen by eye."""
 QUAT_TOLERANCE = 0.004
 """Largest error of the series of a unit quaternion: half a degree."""
-DEFAULT_SWING, DEFAULT_DOLLY = 6.0, 1.5
-"""Where it is not known how far the clip tells. Chosen by eye."""
 _MIN_SCALE, _MAX_SCALE = 1e-5, 1e2
 """Median depths between which the scales of Gaussians are kept, so that their logarithms fit the steps. Round numbers."""
 _MAX_LOG_LAMBDA = 18.0
@@ -60,13 +58,7 @@ class Packed:
     data: bytes
 
 
-def pack(
-    model: SceneModel,
-    times: Sequence[float],
-    cameras: Sequence[Camera],
-    title: str,
-    widths: tuple[float, float] = (DEFAULT_SWING, DEFAULT_DOLLY),
-) -> Packed:
+def pack(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], title: str) -> Packed:
     """Round and compress a scene.
 
     Args:
@@ -74,7 +66,6 @@ def pack(
         times: [T] seconds of the clip's frames.
         cameras: [T] its cameras, in the coordinates of the scene.
         title: name of the clip.
-        widths: degrees to either side of the swinging camera, and how many times as far the dolly zoom goes.
     """
     inner = [model.similarity.camera(camera) for camera in cameras]
     gaussians = model.gaussians.select(torch.nonzero(find_seen_in_clip(model.gaussians)).squeeze(1))
@@ -87,7 +78,7 @@ def pack(
         "version": VERSION, "title": title, "width": cameras[0].width, "height": cameras[0].height,
         "first": model.first, "last": model.last, "frames": len(times), "fill": model.fill,
         "resting": len(resting), "moving": len(moving), "objects": [list(pair) for pair in gaussians.object_counts.items()],
-        "swing": widths[0], "dolly": widths[1], "shDegree": gaussians.sh_degree, "gains": gaussians.config.gains,
+        "shDegree": gaussians.sh_degree, "gains": gaussians.config.gains,
         "pMin": gaussians.config.p_min, "near": NEAR_PLANE, "eps2d": EPS2D, "focal": model.focal,
         "alphaMin": ALPHA_MIN, "alphaMax": ALPHA_MAX, "filledFrom": FILLED_FROM, "filledTo": FILLED_TO,
         "similarity": model.similarity.to_json(), "arrays": [header for header, _ in encoded],

@@ -19,10 +19,10 @@ from flowsplat.common.files import write_text
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Camera
 from flowsplat.images.html import data_uri
-from flowsplat.output.player.camera_paths import camera_paths
-from flowsplat.output.player.pack import DEFAULT_DOLLY, DEFAULT_SWING, pack
+from flowsplat.output.player.camera_paths import DEFAULT_DOLLY, DEFAULT_SWING, camera_paths
+from flowsplat.output.player.pack import pack
 
-SCRIPTS = ("scene.js", "cameras.js", "camera_loops.js", "sorter.js", "renderer.js", "controls.js", "main.js")
+SCRIPTS = ("scene.js", "cameras.js", "camera_paths.js", "sorter.js", "renderer.js", "controls.js", "main.js")
 """In the order in which they stand in the page."""
 SHADERS = (
     "slice.glsl", "slice.frag", "splat.vert", "splat.frag", "whole.vert", "shrink.frag", "spread.frag", "present.frag",
@@ -43,22 +43,24 @@ def write_player(
         times: [T] seconds of the clip's frames, two or more.
         cameras: [T] its cameras, in the coordinates of the scene: the path that the player follows.
         title: name of the clip.
-        widths: degrees to either side of the swinging camera, and how many times as far the dolly zoom goes.
+        widths: degrees to either side of loops, and how many times as far a dolly zoom goes.
 
     Raises:
         InputError: there is nothing to show, or the file cannot be written.
     """
     if not len(model.gaussians):
         raise InputError("The scene has no Gaussians: there is nothing to show.")
-    packed = pack(model, times, cameras, title, widths)
+    packed = pack(model, times, cameras, title)
+    cameras_about = camera_paths(model, times, cameras, widths)
     poster = model.render(cameras[0], float(times[0])).color
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(_asset("player.html"))
     script = "\n".join(("", '"use strict";', *map(_asset, SCRIPTS), ""))
     page = template.render(
         title=title,
+        paths=cameras_about["paths"],
         policy=_policy(script),
         poster=data_uri(np.ascontiguousarray(poster), _POSTER_QUALITY),
-        about=_json({**packed.about, **camera_paths(model, times, cameras)}),
+        about=_json({**packed.about, **cameras_about}),
         shaders=_json({name: _asset(name) for name in SHADERS}),
         data=Markup(base64.b64encode(packed.data).decode()),
         script=Markup(script),

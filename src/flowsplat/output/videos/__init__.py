@@ -65,8 +65,8 @@ def render_videos(model: PartedRenderer, scene: Scene, folder: Path, options: Re
 def list_rendered(folder: Path) -> dict[str, str]:
     """Return what was rendered into ``folder``, by name, to the file's name in it.
 
-    Names: ``input_path``, ``stabilized``, ``orbit``, ``bullet_time``, ``dolly_zoom``, ``wiggle`` and ``custom_path_`` with the
-    name of its camera file; behind it ``_slow4`` where time plays four times slower, ``_confidence_fade`` where guesses fade,
+    Names: the ``file`` of each camera path (``input_path``, ``orbit``, ...), and ``custom_path_`` with the name of its camera file;
+    behind it ``_slow4`` where time plays four times slower, ``_confidence_fade`` where guesses fade,
     ``_distance_2x1.2`` where object 2 is that much farther away, ``_background``, ``_objects`` or ``_objects_1_3`` where a part is
     shown, then ``_stereo`` or ``_color`` for the other files.
 

@@ -8,11 +8,13 @@ from functools import cached_property
 import numpy as np
 
 from flowsplat.common.progress import report
+from flowsplat.common.spread import spread
 from flowsplat.common.threads import in_threads
 from flowsplat.gaussians.renderer import PartedRenderer
 from flowsplat.gaussians.visibility import ClipVisibility
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit
+from flowsplat.output.videos.shots import subject_distance
 from flowsplat.priors.objects import load_objects
 from flowsplat.priors.objects.areas import large_objects
 from flowsplat.scenes import Scene
@@ -107,3 +109,12 @@ class Amplitudes:
     @cached_property
     def _visibility(self) -> ClipVisibility:
         return ClipVisibility(self._model, self._scene.cameras, self._scene.timestamps.tolist())
+
+
+def loop_widths(model: PartedRenderer, scene: Scene) -> tuple[float, float]:
+    """For loops at any time of the clip: degrees to either side, and how many times as far a dolly zoom goes."""
+    amplitudes, times = Amplitudes(model, scene, None), scene.timestamps
+    probes = [float(times[k]) for k in spread(len(times), 3)]
+    middle = probes[len(probes) // 2]
+    subject = subject_distance(model, amplitudes.path.at(middle), middle, 1 / scene.similarity.scale)
+    return amplitudes.angle(probes, "swinging camera"), amplitudes.dolly(middle, subject)

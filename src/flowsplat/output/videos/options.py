@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Annotated
 
 from flowsplat.common.errors import InputError
 from flowsplat.gaussians.distances import check_factors
 from flowsplat.gaussians.renderer import Part, numbers_of
 from flowsplat.images.video import MAX_FPS, MIN_FPS
 from flowsplat.output.camera_files import MAX_SIDE
-
-PathName = Literal["input", "stabilized", "orbit", "bullet", "dolly", "wiggle"]
+from flowsplat.output.videos.paths import PATHS
 
 _MIN_SIDE = 16
 """Pixels of width. Chosen by eye."""
@@ -25,10 +24,8 @@ MAX_FRAMES = 100_000
 class RenderOptions:
     """Which videos are made, and how."""
 
-    paths: tuple[PathName, ...] = ("input", "orbit", "bullet")
-    """``input``: along the clip's cameras. ``stabilized``: the same without the shaking. ``orbit``: a loop round the
-    clip's camera while time plays. ``bullet``: the same loop while time stands still. ``dolly``: time stands still, the camera
-    moves back and zooms in, so that the subject stays as large. ``wiggle``: a GIF that shows depth by a small swing."""
+    paths: Annotated[tuple[str, ...], PATHS.option(are_many=True)] = ("input", "orbit", "bullet")
+    """Where the camera goes."""
     parts: tuple[Part, ...] = ("all",)
     """What is shown: ``all``. ``background``: without what moves. ``objects``: what moves, alone, on transparent: a WebM (VP9
     with alpha) in color; ``wiggle`` shows them on black. ``objects:2`` or ``objects:1,3``: likewise the objects of these numbers
@@ -41,7 +38,7 @@ class RenderOptions:
     slow_motion: float = 1.0
     """How many times slower than it was time plays; the frames between those of the source are rendered. Without sound."""
     max_frames: int = 120
-    """Frames of ``orbit``, ``bullet`` and ``dolly`` at most."""
+    """Frames of loops (``orbit``, ``bullet``, ``dolly``) at most."""
     orbit_angle: float | None = None
     """Half-width in degrees of the loop of ``orbit`` and ``bullet``, seen from the middle of the scene. None = as far as the clip
     has seen enough and knows where objects are, 3 to 12."""
@@ -90,6 +87,17 @@ def factors_of(distances: Sequence[str]) -> dict[int, float]:
     return factors
 
 
+def check_paths(paths: Sequence[str]) -> None:
+    """Refuse names that are of no camera path.
+
+    Raises:
+        InputError: names the first one.
+    """
+    if unknown := set(paths) - set(PATHS.names()):
+        known = ", ".join(PATHS.names())
+        raise InputError(f"Unknown camera path {min(unknown)!r}: choose from {known}, or give a camera file.")
+
+
 def check_options(options: RenderOptions, fps: float, first: float, last: float) -> None:
     """Refuse what cannot be rendered, before anything is.
 
@@ -101,9 +109,7 @@ def check_options(options: RenderOptions, fps: float, first: float, last: float)
     Raises:
         InputError: an option has a value that makes no video.
     """
-    if unknown := set(options.paths) - set(get_args(PathName)):
-        known = ", ".join(get_args(PathName))
-        raise InputError(f"Unknown camera path {min(unknown)!r}: choose from {known}, or give a camera file.")
+    check_paths(options.paths)
     for part in options.parts:
         numbers_of(part)
     factors_of(options.object_depth)

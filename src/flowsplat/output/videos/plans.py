@@ -12,23 +12,17 @@ import cv2
 import numpy as np
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.progress import report
 from flowsplat.common.spread import spread
 from flowsplat.gaussians.renderer import Part, PartedRenderer
-from flowsplat.geometry import Camera
-from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shift_camera
+from flowsplat.geometry.paths import CameraPath
 from flowsplat.images.video import MAX_FPS, MIN_FPS
 from flowsplat.output.camera_files import CameraShots, read_camera_file
 from flowsplat.output.videos.amplitudes import Amplitudes
 from flowsplat.output.videos.options import RenderOptions, check_options, factors_of
-from flowsplat.output.videos.shots import MIN_ALPHA, Shot, small
-from flowsplat.output.videos.stabilized import stabilize
+from flowsplat.output.videos.paths import PATHS, PathRequest
+from flowsplat.output.videos.shots import GIF_FPS, Shot, small
 from flowsplat.scenes import Scene
 
-WIGGLE_FRAMES = 16
-"""Frames of one swing of a wiggle, there and back. Chosen by eye."""
-WIGGLE_FPS = 12.5
-"""A GIF counts time in hundredths of a second."""
 _SUFFIXES = {"stereo": "mp4", "alpha": "webm", "gif": "gif"}
 
 
@@ -137,45 +131,33 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
     """Yield every path, showing the whole scene."""
     first, last = float(scene.timestamps[0]), float(scene.timestamps[-1])
     fps, size, given = settle(scene, options)
-    path = CameraPath(scene.timestamps.tolist(), [camera.resize(*size) for camera in scene.cameras])
     step = 1 / (fps * options.slow_motion)
     times = first + np.arange(int((last - first) / step + 1e-6) + 1) * step
-    distance = 1 / scene.similarity.scale  # the median depth
+    spare = max(len(times) - options.max_frames, 0)
+    middle = times[spare // 2 : len(times) - (spare - spare // 2)]
     frozen = (first + last) / 2 if options.bullet_time is None else options.bullet_time
     sound, start = (scene.sound if options.slow_motion == 1 else None) or (None, 0.0)
-    along = [(path.at(t), float(t)) for t in times]
     tempo = "" if options.slow_motion == 1 else f"_slow{options.slow_motion:g}"
+    clip = CameraPath(scene.timestamps.tolist(), [camera.resize(*size) for camera in scene.cameras])
     amplitudes = Amplitudes(model, scene, options.orbit_angle)
 
-    if "input" in options.paths:
-        burnt_in = None if scene.overlay is None else scene
-        yield VideoPlan(f"input_path{tempo}", along, fps, audio_from=sound, audio_start=start, burnt_in=burnt_in)
-    if "stabilized" in options.paths:
-        shots, share = stabilize(model, along, options.stabilize / step)
-        report(f"The stabilized path shows {share:.0%} of the width and height of the clip.")
-        yield VideoPlan(f"stabilized{tempo}", shots, fps, audio_from=sound, audio_start=start)
-    if "orbit" in options.paths:
-        # The middle of the clip in real time.
-        spare = max(len(times) - options.max_frames, 0)
-        played = times[spare // 2 : len(times) - (spare - spare // 2)]
-        angle = amplitudes.angle([float(played[k]) for k in spread(len(played), 3)], "orbit")
-        loop = orbit([path.at(t) for t in played], distance, len(played), angle)
-        yield VideoPlan(f"orbit{tempo}", [(camera, float(t)) for camera, t in zip(loop, played, strict=True)], fps)
-    if "bullet" in options.paths:
-        loop = orbit(path.at(frozen), distance, options.max_frames, amplitudes.angle([frozen], "bullet time"))
-        yield VideoPlan("bullet_time", [(camera, frozen) for camera in loop], fps)
-    if "dolly" in options.paths:
-        subject = subject_distance(model, path.at(frozen), frozen, distance)
-        there_and_back = (1 - np.cos(np.linspace(0, 2 * np.pi, options.max_frames, endpoint=False))) / 2
-        dolly = amplitudes.dolly(frozen, subject) if options.dolly is None else options.dolly
-        factors = dolly**there_and_back
-        yield VideoPlan("dolly_zoom", [(dolly_zoom(path.at(frozen), subject, float(f)), frozen) for f in factors], fps)
-    if "wiggle" in options.paths:
-        subject = subject_distance(model, path.at(frozen), frozen, distance)
-        swing = np.sin(np.linspace(0, 2 * np.pi, WIGGLE_FRAMES, endpoint=False)) * options.eye_distance / 2 * distance
+    for path in (entry.value for entry in PATHS.entries() if entry.name in options.paths):
+        is_loop = path.loop_seconds is not None
+        if path.stands_still:
+            shown = np.full(path.frames or options.max_frames, frozen)
+        else:
+            shown = middle if is_loop else times  # a loop of the middle of the clip, in real time
+        request = PathRequest(
+            model, clip, shown, np.linspace(0, 2 * np.pi, len(shown), endpoint=False), step, 1 / scene.similarity.scale,
+            options.stabilize, options.eye_distance, options.orbit_angle, options.dolly, amplitudes,
+        )  # fmt: skip
+        shots = list(zip(path.cameras(request), shown.tolist(), strict=True))
+        heard = sound if not (is_loop or path.stands_still) else None
         yield VideoPlan(
-            "wiggle", [(shift_camera(path.at(frozen), float(x), subject), frozen) for x in swing], WIGGLE_FPS, kind="gif"
-        )
+            path.file + tempo * (not path.stands_still), shots, GIF_FPS if path.kind == "gif" else fps, kind=path.kind,
+            audio_from=heard, audio_start=start if heard else 0.0,
+            burnt_in=scene if path.is_input and scene.overlay is not None else None,
+        )  # fmt: skip
     if given is not None:
         assert options.camera_file is not None
         yield VideoPlan(f"custom_path_{name_of(options.camera_file)}", given.shots, options.fps or given.fps or fps)
@@ -184,22 +166,6 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
 def name_of(camera_file: Path) -> str:
     """Return what a camera file is called, as a part of the names of its videos."""
     return re.sub(r"[^\w.-]", "-", camera_file.stem)
-
-
-def loop_widths(model: PartedRenderer, scene: Scene) -> tuple[float, float]:
-    """For loops at any time of the clip: degrees to either side, and how many times as far a dolly zoom goes."""
-    amplitudes, times = Amplitudes(model, scene, None), scene.timestamps
-    probes = [float(times[k]) for k in spread(len(times), 3)]
-    middle = probes[len(probes) // 2]
-    subject = subject_distance(model, amplitudes.path.at(middle), middle, 1 / scene.similarity.scale)
-    return amplitudes.angle(probes, "swinging camera"), amplitudes.dolly(middle, subject)
-
-
-def subject_distance(model: PartedRenderer, camera: Camera, t: float, otherwise: float) -> float:
-    """Return planar depth of the objects that the camera sees, their median; ``otherwise`` where there are none."""
-    seen = model.part("objects").render(small(camera), t)
-    depth = seen.depth[seen.alpha >= MIN_ALPHA]
-    return float(np.median(depth)) if depth.size else otherwise
 
 
 def _require_objects(objects: PartedRenderer, plan: VideoPlan, part: Part) -> None:

@@ -6,7 +6,6 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import viser
@@ -15,7 +14,8 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import plain_name
 from flowsplat.geometry import Camera
 from flowsplat.output.camera_files import read_camera_file, write_camera_file
-from flowsplat.output.videos.options import PathName, RenderOptions
+from flowsplat.output.videos.options import RenderOptions
+from flowsplat.output.videos.paths import PATHS
 from flowsplat.output.videos.plans import plan_videos
 from flowsplat.output.viewer.browser_frame import BrowserFrame
 from flowsplat.output.viewer.controls import Controls
@@ -31,7 +31,7 @@ from flowsplat.output.viewer.worker import Worker
 
 _JPEG_QUALITY = 75
 """Of the JPEGs of a path that is played. Chosen by eye."""
-_READY_HINT = "The paths that flowsplat render knows, at the speed set above; bullet, dolly and wiggle at this moment of the clip."
+_READY_HINT = "The paths that flowsplat render knows, at the speed set above; where time stands still, at this moment of the clip. "
 _RECORDINGS_HINT = "mp4 and gif: what is shown, for two eyes if so set. webm: what moves, on transparent."
 
 
@@ -48,7 +48,8 @@ class ExportPanel:
         with gui.add_folder("Export", expand_by_default=False):
             screenshot = gui.add_button("Screenshot", icon=viser.Icon.CAMERA)
             self._count = gui.add_markdown("No keys yet.")
-            self._ready = controls.add_dropdown("Ready-made path", get_args(PathName), initial_value="orbit", hint=_READY_HINT)
+            hint = _READY_HINT + PATHS.describe()
+            self._ready = controls.add_dropdown("Ready-made path", PATHS.names(), initial_value="orbit", hint=hint)
             ready = gui.add_button("Take this path", icon=viser.Icon.ROUTE)
             add = gui.add_button("Add a key here", icon=viser.Icon.PLUS)
             self._spacing = controls.add_slider("Seconds a key", min=0.1, max=10.0, step=0.1, initial_value=1.0)

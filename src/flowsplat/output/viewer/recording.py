@@ -14,7 +14,7 @@ from flowsplat.common.files import plain_name
 from flowsplat.images.gif import write_gif
 from flowsplat.images.transparent import webm_writer
 from flowsplat.images.video import mp4_writer
-from flowsplat.output.videos.plans import WIGGLE_FPS
+from flowsplat.output.videos.shots import GIF_FPS
 from flowsplat.output.videos.writing import on_transparent
 from flowsplat.output.viewer.browser_frame import BrowserFrame
 from flowsplat.output.viewer.drawing import Look, Wish, draw, draw_shot
@@ -89,7 +89,7 @@ def record_path(
     suffix, objects = path.suffix, source.model("objects", look.distances, look.confidence_fade)
     if suffix == ".webm" and not len(objects.gaussians):
         raise InputError("Nothing moves in this scene: record it as mp4 or gif.")
-    fps = WIGGLE_FPS if suffix == ".gif" else fps
+    fps = GIF_FPS if suffix == ".gif" else fps
     shots = keys.shots(fps)
     with _WRITERS[suffix](path, fps) as write:
         for k, (camera, t) in enumerate(shots):

@@ -15,7 +15,7 @@ SAMPLE_EVERY = 4
 """Steps between two of which residuals are counted: that is enough evidence. Chosen by eye."""
 
 
-@STRATEGIES.register("default", "Ours", "what moves becomes dynamic, what rests background; then as paper", place=10)
+@STRATEGIES.register("default", "Ours", "What moves becomes dynamic, what rests background; then as paper.", place=10)
 class DefaultStrategy(PaperStrategy):
     """The paper's, and before each round it is decided anew which Gaussians move."""
 

@@ -22,7 +22,7 @@ RESET_FACTOR = 2.0
 """Opacities are reset to so many times the one below which Gaussians are removed (gsplat 1.5, ``DefaultStrategy``)."""
 
 
-@STRATEGIES.register("gsplat", "gsplat's default", "clone, split, prune and reset as gsplat's DefaultStrategy does", place=30)
+@STRATEGIES.register("gsplat", "gsplat's default", "Clone, split, prune and reset as gsplat's DefaultStrategy does.", place=30)
 class GsplatStrategy:
     """Grow where the gradient in the image is large, prune what is transparent or huge, reset opacities."""
 

@@ -30,7 +30,7 @@ MAX_SHARERS = 51
 """Gaussians that may share the place of one in a round (gsplat 1.5, ``binoms``)."""
 
 
-@STRATEGIES.register("mcmc", "gsplat's MCMC", "move the transparent to the opaque, as gsplat's MCMCStrategy", place=40)
+@STRATEGIES.register("mcmc", "gsplat's MCMC", "Move the transparent to the opaque, as gsplat's MCMCStrategy.", place=40)
 class MCMCStrategy:
     """A fixed budget of Gaussians that go where they are needed."""
 

@@ -15,7 +15,7 @@ from flowsplat.training.step import StepOutput
 from flowsplat.training.strategies import STRATEGIES
 
 
-@STRATEGIES.register("paper", "The paper's", "clone, split, prune and reset as 3D Gaussian Splatting does", place=20)
+@STRATEGIES.register("paper", "The paper's", "Clone, split, prune and reset as 3D Gaussian Splatting does.", place=20)
 class PaperStrategy:
     """Every ``density.every`` steps: what the image pulls at is cloned or split, what nobody sees is removed."""
 

@@ -22,17 +22,22 @@ class State {
     this.factors = [1, ...about.objects.map(() => 1)];  // by the place of the object; the first is of what belongs to none
     this.isHeld = false;  // an image that a program asked for stays until a person does something
     this.free = new FreeCamera(about.clipPath);
-    this.cameraLoops = new CameraLoops(about);
+    this.phase = 0;  // how far a loop has gone, from 0 to 2 pi
   }
 
   get isFree() {
     return this.mode === "orbit" || this.mode === "fly";
   }
 
+  /** The camera path of this mode, which is neither the clip's own nor that of a person. */
+  get path() {
+    return this.about.paths.find(({ name }) => this.mode === `path:${name}`);
+  }
+
   camera() {
     if (this.isFree) return this.free.camera;
-    if (this.mode in LOOPS) return this.cameraLoops.camera(this.mode, this.time);
-    return cameraOnPath(this.mode === "steady" ? this.about.steadyPath : this.about.clipPath, this.time);
+    const { path } = this;
+    return path ? cameraOf(this.about, path, this.time, this.phase) : cameraOnPath(this.about.clipPath, this.time);
   }
 
   setMode(mode) {
@@ -41,8 +46,8 @@ class State {
     const wasFree = this.isFree;
     this.mode = mode;
     if (this.isFree && !wasFree) this.free.startFrom(before);
-    if (mode in LOOPS) {
-      this.cameraLoops.phase = 0;
+    if (this.path?.offsets) {
+      this.phase = 0;
       this.setPlaying(false);  // time stands still until it is told to play
     }
     element("camera").value = mode;
@@ -102,7 +107,7 @@ class State {
   }
 
   step(seconds) {
-    if (this.mode in LOOPS) this.cameraLoops.step(this.mode, seconds);
+    if (this.path?.offsets) this.phase = (this.phase + (2 * Math.PI * seconds) / this.path.seconds) % (2 * Math.PI);
     if (!this.isPlaying) return;
     const time = this.time + (this.speed * seconds) / (this.about.last - this.about.first);
     this.setTime(time % 1);

@@ -10,13 +10,46 @@ property for one.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from flowsplat.common.files import write_bytes
-from flowsplat.output.export.still import Still
+from flowsplat.common.registry import Entry
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.output.export.formats import EXPORTERS, Exporter
+from flowsplat.output.export.options import ExportOptions
+from flowsplat.output.export.still import Still, middle_or, still_at
+from flowsplat.scenes import Scene
+from flowsplat.splatting.harmonics import harmonics_count
+
+
+def write(path: Path, model: SceneModel, scene: Scene, options: ExportOptions) -> None:
+    """Write one file atomically."""
+    write_at(path, model, scene, middle_or(model, options.time), options.flip_axes)
+
+
+def write_at(path: Path, model: SceneModel, scene: Scene, seconds: float, flip_axes: bool) -> None:
+    """Write one file atomically: what is there at these seconds of the clip."""
+    comment = f"{re.sub(r'[^ -~]', '?', scene.name)} at {seconds:.4f} s"
+    write_ply(path, still_at(model, seconds, flip_axes=flip_axes), _has_objects(model), [comment])
+
+
+def estimate_bytes(model: SceneModel, scene: Scene, options: ExportOptions) -> int:
+    """Exact but for the header."""
+    return count_record_bytes(model) * model.active_count(middle_or(model, options.time))
+
+
+def count_record_bytes(model: SceneModel) -> int:
+    """Return bytes of one Gaussian."""
+    gaussians = model.gaussians
+    return 4 * len(property_names(harmonics_count(gaussians.sh_degree), _has_objects(model), gaussians.seen is not None))
+
+
+def _has_objects(model: SceneModel) -> bool:
+    return bool(model.gaussians.object_ids.any())
 
 
 def property_names(harmonics: int, has_objects: bool, has_seen: bool = False) -> list[str]:
@@ -47,3 +80,7 @@ def write_ply(path: Path, still: Still, has_objects: bool, comments: Sequence[st
     properties = [f"property float {name}" for name in property_names(harmonics, has_objects, still.seen is not None)]
     lines += [f"element vertex {count}", *properties, "end_header", ""]
     write_bytes(path, "\n".join(lines).encode("ascii", "replace") + body.tobytes())
+
+
+PLY = Exporter(write, estimate_bytes, "scene.ply", is_of_one_time=True, can_flip_axes=True)
+EXPORTERS.add(Entry("ply", "PLY", "3D Gaussian Splatting's own, for every viewer of splats, at one time.", PLY, place=20))

@@ -1,0 +1,47 @@
+"""Formats of exports: each a file of this folder, or of another package (entry points ``flowsplat.exporters``).
+
+The command line, Python and the documentation know what there is by ``EXPORTERS`` alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from flowsplat.common.registry import Registry
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.output.export.options import ExportOptions
+from flowsplat.scenes import Scene
+
+
+@dataclass(frozen=True)
+class Exporter:
+    """A format.
+
+    Attributes:
+        write: writes a file, or into a folder that is there, and raises an ``InputError`` where that is impossible. The model has
+            as many Gaussians as ``max_gaussians`` leaves, and at least one.
+        estimate_bytes: about how many it will be.
+        default_name: of the file, or of the folder: what has no suffix is one.
+        is_of_one_time: it shows the scene at one time, and takes ``time``.
+        can_flip_axes: it takes ``flip_axes``.
+        has_gaussians: it takes ``max_gaussians``; otherwise it has the cameras alone.
+        reader: dotted name of what in flowsplat reads it back.
+    """
+
+    write: Callable[[Path, SceneModel, Scene, ExportOptions], None]
+    estimate_bytes: Callable[[SceneModel, Scene, ExportOptions], int]
+    default_name: str
+    is_of_one_time: bool = False
+    can_flip_axes: bool = False
+    has_gaussians: bool = True
+    reader: str | None = None
+
+    @property
+    def is_folder(self) -> bool:
+        """Whether it is one, and not a file."""
+        return not Path(self.default_name).suffix
+
+
+EXPORTERS: Registry[Exporter] = Registry("format", __name__, "flowsplat.exporters")

@@ -1,0 +1,34 @@
+"""The scene as a page that plays it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from flowsplat.common.registry import Entry
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.output.export.formats import EXPORTERS, Exporter
+from flowsplat.output.export.options import ExportOptions
+from flowsplat.scenes import Scene
+
+_PAGE_BYTES = 200_000
+"""The player without its scene: program, poster, camera paths."""
+
+
+def write(path: Path, model: SceneModel, scene: Scene, options: ExportOptions) -> None:
+    """Write one file."""
+    from flowsplat.output.player.page import write_player
+    from flowsplat.output.videos.amplitudes import loop_widths
+
+    write_player(path, model, scene.timestamps.tolist(), scene.cameras, scene.name, loop_widths(model, scene))
+
+
+def estimate_bytes(model: SceneModel, scene: Scene, options: ExportOptions) -> int:
+    """Return about how many it will be."""
+    from flowsplat.output.player.pack import estimate_bytes as estimate_packed_bytes
+
+    return _PAGE_BYTES + estimate_packed_bytes(model.gaussians)
+
+
+EXPORTERS.add(
+    Entry("html", "Page", "A page that plays the scene in any browser.", Exporter(write, estimate_bytes, "player.html"), place=10)
+)
