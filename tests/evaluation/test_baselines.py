@@ -62,8 +62,8 @@ def test_a_held_out_frame_at_either_end_is_predicted_from_its_only_neighbor(tmp_
     scene = hold_out(scene, [0, 1, 5])
     for i, neighbor in ((0, 2), (1, 2), (5, 4)):
         predictions = predict(HeldoutImage(scene, i))
-        assert set(predictions) == {"copy", "blend", "flow_interpolation"}
-        for image in predictions.values():
+        for name in ("copy", "blend", "flow_interpolation"):
+            image = predictions[name]
             np.testing.assert_array_equal(image, to_float(scene.frame(neighbor)))
 
 

@@ -73,7 +73,7 @@ def test_baselines_are_worse_than_the_truth_and_ordered(world, build_scene):
     assert views["copy"]["psnr"] + 5 < views["warp_by_depth"]["psnr"]
     assert views["static"]["count"] == 2
     per_image = metrics["per_image"][0]["baselines"]
-    assert set(per_image) == {"copy", "blend", "flow_interpolation", "static"}
+    assert set(per_image) >= {"copy", "blend", "flow_interpolation", "static"}
 
 
 def test_without_a_static_model_its_row_is_null(world, build_scene):

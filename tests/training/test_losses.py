@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import pytest
 import torch
 
-from flowsplat.common.registry import Entry
+from flowsplat.common.errors import InputError
+from flowsplat.common.settings import to_plain
 from flowsplat.training import losses
-from flowsplat.training.losses import LOSSES, LossTerm, add_weights
+from flowsplat.training.losses import LOSSES, add_weights, register_loss
 from flowsplat.training.trainer import Trainer
 from tests.training.handful import a_few, seen, tiny
 
@@ -51,7 +53,8 @@ def test_small_is_what_is_made_small(name, parameter):
 
 def test_a_term_brings_the_field_of_its_weight(monkeypatch):
     monkeypatch.setattr(losses, "LOSSES", type(LOSSES)("loss term"))
-    losses.LOSSES.add(Entry("smooth", "Smooth", "Is smooth.", LossTerm(lambda step: torch.zeros(()), 0.25)))
+    monkeypatch.setattr(losses, "_taken", set())
+    register_loss("smooth", "Smooth", "Is smooth.", weight=0.25)(lambda step: torch.zeros(()))
 
     @dataclass
     @add_weights
@@ -60,9 +63,32 @@ def test_a_term_brings_the_field_of_its_weight(monkeypatch):
 
     assert Settings().smooth == 0.25
     assert Settings(smooth=0.5) == Settings(1.0, 0.5)
-    losses.LOSSES.add(Entry("flow", "Flow", "Flows.", LossTerm(lambda step: torch.zeros(()), 1.0)))
-    with pytest.raises(ValueError, match="the loss term 'flow' would take the place of the setting of that name"):
+    # Where it is the default it is not written: who has not the term can read all the rest.
+    assert to_plain(Settings()) == {"flow": 1.0}
+    assert to_plain(Settings(smooth=0.0)) == {"flow": 1.0, "smooth": 0.0}
 
-        @add_weights
-        class Other:
-            flow: float = 1.0
+
+@pytest.mark.parametrize("name", ["flow", "terms", "rigid_beta", "step", "psnr", "lambda", "depth-order", "Upper", "scale"])
+def test_names_that_mean_something_else_are_refused(name):
+    with pytest.raises(ValueError, match=name):
+        register_loss(name, "", "", weight=0.1)(lambda step: torch.zeros(()))
+
+
+def test_a_negative_weight_is_refused():
+    with pytest.raises(ValueError, match=r"is -1\.0: give 0 or more"):
+        register_loss("smooth", "", "", weight=-1.0)
+
+
+@pytest.mark.parametrize("returned", [torch.zeros(2), 0.5, np.float32(1)])
+def test_what_is_no_number_of_torch_is_named(monkeypatch, returned):
+    term = replace(LOSSES["opacity"], compute=lambda step: returned)
+    monkeypatch.setitem(LOSSES._found, "opacity", replace(LOSSES.entry("opacity"), value=term))
+    with pytest.raises(TypeError, match="the loss term 'opacity' returned"):
+        trained(tiny("default"), opacity=0.1)
+
+
+def test_a_loss_that_is_no_number_ends_the_training_and_names_the_term(monkeypatch):
+    term = replace(LOSSES["opacity"], compute=lambda step: step.rendered.alpha.mean() * float("nan"))
+    monkeypatch.setitem(LOSSES._found, "opacity", replace(LOSSES.entry("opacity"), value=term))
+    with pytest.raises(InputError, match=r"The loss is no number at step 2: .*opacity"):
+        trained(tiny("default"), opacity=0.1)

@@ -13,11 +13,18 @@ from flowsplat.common.errors import InputError, first_line
 
 Config = TypeVar("Config")
 
+LEFT_OUT_BY_DEFAULT = {"left_out_by_default": True}
+"""Metadata of a field that is written only where it is not the default: then who does not know it can read all the rest."""
+
 
 def to_plain(config: Any) -> Any:
     """Return a configuration as JSON holds it."""
     if dataclasses.is_dataclass(config) and not isinstance(config, type):
-        return {field.name: to_plain(getattr(config, field.name)) for field in dataclasses.fields(config)}
+        return {
+            field.name: to_plain(value)
+            for field in dataclasses.fields(config)
+            if (value := getattr(config, field.name)) != field.default or not field.metadata.get("left_out_by_default")
+        }
     if isinstance(config, list | tuple):
         return [to_plain(item) for item in config]
     return str(config) if isinstance(config, Path) else config
@@ -40,7 +47,9 @@ def from_plain(kind: type[Config], value: Mapping[str, Any]) -> Config:
     hints, arguments = get_type_hints(kind), {}  # type: dict[str, Any], dict[str, Any]
     for name, item in value.items():
         if name not in hints:
-            raise InputError(f"Unknown setting {name!r} in {kind.__name__}.")
+            raise InputError(
+                f"Unknown setting {name!r} in {kind.__name__}: it is of another version, or of a package that is missing."
+            )
         hint = hints[name]
         _check_type(kind, name, item, hint)
         if dataclasses.is_dataclass(hint) and isinstance(item, dict):

@@ -79,8 +79,8 @@ class Gaussians4D:
         dynamic: [N] bool; False = background.
         config: what the parameters mean.
         sh_degree: the degree in use, at most ``config.sh_degree`` (training raises it step by step).
-        objects: [N] uint8 number of the moving object that each belongs to, as in the masks of the clip; 0 = of none. Nothing that
-            is computed in training depends on it. Left out it is 0 for all. It is not the same as ``dynamic``: a part of an
+        object_ids: [N] uint8 number of the moving object that each belongs to, as in the masks of the clip; 0 = of none. Nothing
+            that is computed in training depends on it. Left out it is 0 for all. It is not the same as ``dynamic``: a part of an
             object that turns out to rest is background and still belongs to it, and background that turns out to move belongs
             to none.
         seen: [N, 2] float32, what the clip has seen of each (``visibility.seen_of``): how many of the frames that were asked, and

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time as clock
 from collections.abc import Callable
 from pathlib import Path
@@ -58,8 +59,15 @@ class HistoryCallback:
         self._iterations, self._record = iterations, record
 
     def __call__(self, state: TrainState, step: StepOutput, figures: Figures) -> None:
-        """See ``Callback``."""
+        """See ``Callback``.
+
+        Raises:
+            InputError: the loss is not finite.
+        """
         entry = state.history.add(state.step, figures, step.count, state.step == self._iterations)
+        if entry is not None and not math.isfinite(entry["loss"]):
+            wrong = [name for name, value in entry.items() if name != "loss" and not math.isfinite(value)]
+            raise InputError(f"The loss is no number at step {state.step}: {', '.join(wrong) or 'some gradient'} went wrong.")
         if entry is not None and self._record is not None:
             self._record(entry)
 

@@ -10,6 +10,7 @@ import tyro
 from msgspec import Meta
 
 from flowsplat.common.bounds import Amount, AtLeastOne, Count, Fraction, Share, bounds_in_help, check_bounds
+from flowsplat.common.settings import LEFT_OUT_BY_DEFAULT
 from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.initialize import InitConfig
 from flowsplat.gaussians.model_config import ModelConfig
@@ -143,7 +144,7 @@ class TrainConfig:
 
     iterations: Count = 1500
     """Optimizer steps."""
-    strategy: Annotated[str, STRATEGIES.option()] = "default"
+    strategy: Annotated[str, STRATEGIES.option()] = field(default="default", metadata=LEFT_OUT_BY_DEFAULT)
     """Who adds and removes Gaussians, and when."""
     frames_per_iteration: Annotated[int, Meta(ge=0, le=10_000)] = 1
     """Frames rendered in a step; their losses are averaged. 0 = all (the paper, read literally)."""

@@ -67,9 +67,18 @@ class TrainState:
         return self.earlier_seconds + clock.perf_counter() - self.began
 
     def adopt(self, result: DensityResult) -> None:
-        """Go on with other Gaussians: all that belongs to rows follows them. New rows have no past."""
+        """Go on with other Gaussians: all that belongs to rows follows them. New rows have no past.
+
+        Raises:
+            ValueError: the result does not say of every new row from which old one it comes, or whether it is new.
+        """
         if result.gaussians is self.gaussians:
             return
+        count, index, old = len(result.gaussians), result.index, len(self.gaussians)
+        if len(index) != count or result.is_new.shape != index.shape or result.is_new.dtype != torch.bool:
+            raise ValueError(f"{count:,} Gaussians need an index and an is_new (bool) of as many")
+        if count and not 0 <= int(index.min()) <= int(index.max()) < old:
+            raise ValueError(f"index must name old Gaussians, 0 to {old - 1}, not {int(index.min())} to {int(index.max())}")
         self.optimizer.reindex(result.index, result.is_new)
         if self.neighbors is not None:
             self.neighbors = self.neighbors.reindex(result.index)

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from flowsplat.common.devices import upload
+from flowsplat.common.errors import InputError
 from flowsplat.common.memory import keep_freed_memory
 from flowsplat.common.progress import progress_bar, report, spinner
 from flowsplat.common.stopping import Stopped, stop_requests
@@ -195,6 +196,8 @@ class Trainer:
         total: Tensor | None = None
         for name, weight, term in self._terms:
             value = term.compute(output)
+            if value is not None and not (isinstance(value, Tensor) and value.numel() == 1):
+                raise TypeError(f"the loss term {name!r} returned {value!r:.60}: a tensor of one number, or None, is expected")
             if value is not None:
                 total = weight * value if total is None else total + weight * value
             if term.has_curve:
@@ -225,6 +228,8 @@ class Trainer:
     @torch.no_grad()
     def _count(self, output: StepOutput) -> None:
         self._strategy.step_post_backward(self.state, output)
+        if len(self.state.gaussians) == 0:
+            raise InputError(f"No Gaussian is left at step {self.step}: --train.density prunes them all.")
 
     def _all_rows(self) -> Active:
         """Return all rows; counted anew only where something has changed, as a GPU has to be waited for."""

@@ -44,6 +44,8 @@ def export_scene(model: SceneModel, scene: Scene, to: str, path: str | Path | No
     what = f"{len(model.gaussians):,} Gaussians" if exporter.has_gaussians else f"{scene.num_frames} cameras"
     report(f"{what} as {to}: about {_readable(exporter.estimate_bytes(model, scene, options))} in {path}")
     exporter.write(path, model, scene, options)
+    if not path.exists():
+        raise InputError(f"Nothing was written: format {to} made no {path}.")
     return path
 
 

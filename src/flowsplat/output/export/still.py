@@ -31,7 +31,7 @@ class Still:
         log_scales: [A, 3]
         opacities: [A] presence at the time included.
         sh: [A, K, 3] harmonics, brightness at the time included.
-        objects: [A] uint8 number of the object that each belongs to; 0 = of none.
+        object_ids: [A] uint8 number of the object that each belongs to; 0 = of none.
         seen: [A, 2] what the clip has seen of each (``Gaussians4D.seen``); None = not known.
     """
 

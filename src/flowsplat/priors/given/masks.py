@@ -10,8 +10,10 @@ import cv2
 import numpy as np
 
 from flowsplat.common.files import read_zip
+from flowsplat.common.progress import report
 from flowsplat.priors.given import sav, vipe
 from flowsplat.priors.given.fitting import files_by_frame, require_shape
+from flowsplat.priors.given.mask_gaps import fill_gaps
 from flowsplat.scenes import Scene
 from flowsplat.scenes.formats.masks import GRAY, GivenMasks, read_labels, require_rest, unpack_labels
 from flowsplat.scenes.layers import decode_image_bytes
@@ -21,8 +23,11 @@ _MAX_MASK_BYTES = 64 * 2**20
 """Of one mask in a zip. Chosen by eye."""
 
 
-def use_masks(path: Path, scene: Scene) -> None:
+def use_masks(path: Path, scene: Scene) -> str:
     """Write the masks of the training frames into the scene, and those of held-out frames for the evaluation.
+
+    Returns:
+        a sentence about objects that had none for some frames and have one now; empty where there are none.
 
     Raises:
         InputError: one of a training frame is missing, damaged, or of another shape; or hardly anything rests by them.
@@ -35,12 +40,19 @@ def use_masks(path: Path, scene: Scene) -> None:
     size, lens = (scene.width, scene.height), scene.lens
     masks = {i: training.read(str(i), size) for i in scene.train_frames}
     require_rest(str(path), list(masks.values()))
-    for i, mask in masks.items():
-        scene.write_mask(i, mask if lens is None else lens.straighten(mask))
+    straight = masks if lens is None else {i: lens.straighten(mask) for i, mask in masks.items()}
+    complete, filled = fill_gaps(straight, scene)
+    for i, mask in complete.items():
+        scene.write_mask(i, mask)
     for i in scene.heldout_frames:
         if i in paths:
             mask = training.read_moving(paths[i], size)
             scene.heldout_masks.write_mask(i, mask if lens is None else lens.straighten(mask))
+    parts = [f"object {number} in {len(frames)} frame{'s' * (len(frames) > 1)}" for number, frames in filled.items()]
+    told = f"lost and carried along the flow from before and after: {', '.join(parts)}" if parts else ""
+    if told:
+        report(f"Masks of {path}: {told}.")
+    return told
 
 
 def _find(path: Path, scene: Scene) -> tuple[dict[int, Path], Callable[[Path], np.ndarray]]:

@@ -52,8 +52,8 @@ def _read_true(scene: Scene, truth: Layers) -> bool:
 
 
 def _read_given(request: PriorRequest, path: Path) -> None:
-    use_masks(path, request.scene)
-    request.scene.finish_prior("masks", method=GIVEN, verdict=f"from {path}")
+    told = use_masks(path, request.scene)
+    request.scene.finish_prior("masks", method=GIVEN, verdict=f"from {path}" + (f"; {told}" if told else ""))
 
 
 MASKS = Kind(

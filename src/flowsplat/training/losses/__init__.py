@@ -6,6 +6,8 @@ A module here, or one of another package with an entry point ``flowsplat.losses`
 
 from __future__ import annotations
 
+import dataclasses
+import keyword
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
@@ -15,6 +17,7 @@ from torch import Tensor
 
 from flowsplat.common.bounds import Amount
 from flowsplat.common.registry import Entry, Registry
+from flowsplat.common.settings import LEFT_OUT_BY_DEFAULT
 
 Compute = Callable[[Any], Tensor | None]
 """From a ``training.step.StepOutput`` to a term before its weight, a scalar that is differentiable; None = nothing there says
@@ -37,6 +40,9 @@ class LossTerm:
     has_curve: bool = True
 
 
+_taken = {"step", "loss", "psnr", "active", "gaussians", "color"}
+"""Names that the history, or the settings (``add_weights``), have for something else."""
+
 LOSSES: Registry[LossTerm] = Registry("loss term", "flowsplat.training.losses", "flowsplat.losses")
 
 
@@ -46,8 +52,12 @@ def register_loss(
     """Decorate a loss term: ``--train.loss.<name>`` is its weight from then on, and ``weight`` its default.
 
     Raises:
-        ValueError: as ``Registry.add``.
+        ValueError: as ``Registry.add``; or the name cannot be that of a setting and of a curve, or the weight is negative.
     """
+    if not name.isidentifier() or keyword.iskeyword(name) or name in _taken:
+        raise ValueError(f"{name!r} cannot be the name of a loss term: it is no name of a setting, or that of another one.")
+    if weight is not None and not weight >= 0:
+        raise ValueError(f"the weight of the loss term {name!r} is {weight}: give 0 or more.")
 
     def keep(compute: Compute) -> Compute:
         LOSSES.add(Entry(name, title, sentence, LossTerm(compute, weight, has_curve), place))
@@ -59,13 +69,11 @@ def register_loss(
 def add_weights(kind: Kind) -> Kind:
     """Give a dataclass of settings, before it is made one, a field for the weight of every term that brings a default.
 
-    Raises:
-        ValueError: a setting has the name of a term already.
+    Its own names are taken, but for those of our own terms that have a field there.
     """
+    _taken.update({*kind.__annotations__, *dir(kind)} - {"rigid", "coverage"})
     for entry in LOSSES.entries():
         if entry.value.weight is not None:
-            if entry.name in kind.__annotations__:
-                raise ValueError(f"the loss term {entry.name!r} would take the place of the setting of that name.")
             kind.__annotations__[entry.name] = Annotated[Amount, tyro.conf.arg(help=f"Weight of the loss term: {entry.sentence}")]
-            setattr(kind, entry.name, entry.value.weight)
+            setattr(kind, entry.name, dataclasses.field(default=entry.value.weight, metadata=LEFT_OUT_BY_DEFAULT))
     return kind

@@ -6,7 +6,6 @@ from __future__ import annotations
 import torch
 
 from flowsplat.common.devices import upload
-from flowsplat.common.errors import InputError
 from flowsplat.gaussians.density import DensityStatistics, densify, prune, reset_opacities
 from flowsplat.gaussians.observations import Observations
 from flowsplat.training.config import TrainConfig
@@ -58,11 +57,7 @@ class PaperStrategy:
             statistics.visits[rows] += active.valid(step.visible)
 
     def control(self, state: TrainState, statistics: DensityStatistics) -> None:
-        """Add and remove Gaussians.
-
-        Raises:
-            InputError: none would be left.
-        """
+        """Add and remove Gaussians."""
         config = self.config.density
         if config.gradient > 0:
             state.adopt(
@@ -70,5 +65,3 @@ class PaperStrategy:
             )
         large = config.prune_scale if config.reset_every and state.step > config.reset_every else 0.0
         state.adopt(prune(state.gaussians, self.observations.times, config.prune_opacity, large))
-        if len(state.gaussians) == 0:
-            raise InputError(f"No Gaussian is left at step {state.step}: --train.density prunes them all.")
