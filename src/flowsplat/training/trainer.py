@@ -137,6 +137,7 @@ class Trainer:
                 output, figures = self.iterate()
                 for callback in self.callbacks:
                     callback(state, output, figures)
+                del output  # what was rendered: the next step needs as much memory again
                 if request.signal is not None:
                     self._stop(request.signal)
                 known = figures if isinstance(figures["psnr"], float) else self.history[-1] if self.history else None
