@@ -59,15 +59,15 @@ def test_a_checkpoint_without_its_statistics_or_with_others_is_refused(tmp_path)
     Trainer(seen(a_few(config)), None, config, tmp_path, start=a_few(config)).run()
     (path,) = tmp_path.glob("*.safetensors")
     tensors, values = read_tensors(path)
-    count = len(tensors["statistics.count"])
-    without = {name: value for name, value in tensors.items() if name != "statistics.count"}
+    count = len(tensors["statistics.visits"])
+    without = {name: value for name, value in tensors.items() if name != "statistics.visits"}
     for wrong in (
         without,
-        {**tensors, "statistics.count": torch.zeros(count, 2)},
+        {**tensors, "statistics.visits": torch.zeros(count, 2)},
         {**tensors, "statistics.more": torch.zeros(count)},
     ):
         write_tensors(path, wrong, values)
-        with pytest.raises(InputError, match=r"damaged: .*statistics\.(count|more)"):
+        with pytest.raises(InputError, match=r"damaged: .*statistics\.(visits|more)"):
             Trainer(seen(a_few(config)), None, config, tmp_path).run()
 
 

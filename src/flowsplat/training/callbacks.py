@@ -67,7 +67,9 @@ class HistoryCallback:
         entry = state.history.add(state.step, figures, step.count, state.step == self._iterations)
         if entry is not None and not math.isfinite(entry["loss"]):
             wrong = [name for name, value in entry.items() if name != "loss" and not math.isfinite(value)]
-            raise InputError(f"The loss is no number at step {state.step}: {', '.join(wrong) or 'some gradient'} went wrong.")
+            raise InputError(
+                f"The loss is no number at step {state.step} (not finite: {', '.join(wrong) or 'the sum of its terms'})."
+            )
         if entry is not None and self._record is not None:
             self._record(entry)
 

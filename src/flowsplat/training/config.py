@@ -126,8 +126,9 @@ class DensityConfig:
     max_gaussians: AtLeastOne = 1_500_000
     """Never more than this."""
     revise: bool = True
-    """Background that keeps a large residual becomes dynamic, dynamic Gaussians that rest become background (ours). Without effect
-    where background is no other than what moves (``model.freeze_background`` off, as in the paper)."""
+    """Background that keeps a large residual becomes dynamic, dynamic Gaussians that rest become background (ours). Of strategy
+    ``default``, and without effect where background is no other than what moves (``model.freeze_background`` off, as in the
+    paper)."""
     revise_flow: Amount = 1.5
     """Mean flow residual in pixels from which background counts as moving."""
     revise_color: Amount = 0.04

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import keyword
+import pkgutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
@@ -69,9 +70,9 @@ def register_loss(
 def add_weights(kind: Kind) -> Kind:
     """Give a dataclass of settings, before it is made one, a field for the weight of every term that brings a default.
 
-    Its own names are taken, but for those of our own terms that have a field there.
+    Its own names are taken, but for those of terms of this folder, each of which is in a file of its name.
     """
-    _taken.update({*kind.__annotations__, *dir(kind)} - {"rigid", "coverage"})
+    _taken.update({*kind.__annotations__, *dir(kind)} - {module.name for module in pkgutil.iter_modules(__path__)})
     for entry in LOSSES.entries():
         if entry.value.weight is not None:
             kind.__annotations__[entry.name] = Annotated[Amount, tyro.conf.arg(help=f"Weight of the loss term: {entry.sentence}")]

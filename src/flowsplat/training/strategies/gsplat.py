@@ -9,7 +9,6 @@ is ``density.reset_every``. Growing by the size in the image, which gsplat has s
 from __future__ import annotations
 
 import torch
-from torch import Tensor
 
 from flowsplat.gaussians.density import DensityResult, DensityStatistics, densify, largest_scale, reset_opacities
 from flowsplat.gaussians.observations import Observations
@@ -17,6 +16,7 @@ from flowsplat.training.config import TrainConfig
 from flowsplat.training.state import TrainState
 from flowsplat.training.step import StepOutput
 from flowsplat.training.strategies import STRATEGIES
+from flowsplat.training.strategies.paper import add_image_gradients
 
 RESET_FACTOR = 2.0
 """Opacities are reset to so many times the one below which Gaussians are removed (gsplat 1.5, ``DefaultStrategy``)."""
@@ -28,12 +28,11 @@ class GsplatStrategy:
 
     def __init__(self, config: TrainConfig, observations: Observations):
         """As ``STRATEGIES`` makes them."""
-        self.config, self.observations = config, observations
+        self.config = config
 
     def initialize_state(self, state: TrainState) -> None:
         """Begin to count."""
-        count, device = len(state.gaussians), state.gaussians.device
-        state.statistics = {name: torch.zeros(count, device=device) for name in ("grad2d", "count")}
+        state.statistics = vars(DensityStatistics.zeros(len(state.gaussians), state.gaussians.device))
 
     def step_pre_backward(self, state: TrainState, step: StepOutput) -> None:
         """Ask for the gradients of the 2D means."""
@@ -44,7 +43,7 @@ class GsplatStrategy:
         config, iterations = self.config.density, self.config.iterations
         if step.step >= config.stop * iterations:
             return
-        self._update_state(state.statistics, step)
+        add_image_gradients(DensityStatistics(**state.statistics), step)
         if not step.ends_step or state.step >= iterations:
             return
         if config.every and step.step > config.start and step.step % config.every == 0:
@@ -55,20 +54,10 @@ class GsplatStrategy:
             reset_opacities(state.gaussians, RESET_FACTOR * config.prune_opacity)
             state.optimizer.restart("logit_opacities")
 
-    def _update_state(self, statistics: dict[str, Tensor], step: StepOutput) -> None:
-        active, gradient, camera = step.active, step.rendered.projected.means2d.grad, self.observations[step.frame].camera
-        assert gradient is not None
-        rows, visible = active.valid(active.rows), active.valid(step.visible)
-        in_image = active.valid(gradient) * gradient.new_tensor([camera.width / 2, camera.height / 2])
-        statistics["grad2d"][rows] += torch.where(visible, in_image.norm(dim=1), 0)
-        statistics["count"][rows] += visible
-
     def _grow(self, state: TrainState) -> None:
         """Duplicate small Gaussians and split large ones."""
-        config, found = self.config.density, DensityStatistics.zeros(len(state.gaussians), state.gaussians.device)
-        found.gradient, found.visits = state.statistics["grad2d"], state.statistics["count"]
-        result = densify(state.gaussians, found, config.gradient, config.clone_below, config.max_gaussians, state.generator)
-        state.adopt(result)
+        config, found = self.config.density, DensityStatistics(**state.statistics)
+        state.adopt(densify(state.gaussians, found, config.gradient, config.clone_below, config.max_gaussians, state.generator))
 
     def _prune(self, state: TrainState) -> None:
         """Remove the transparent and, once opacities were reset, the huge."""

@@ -48,13 +48,7 @@ class PaperStrategy:
     def count(self, statistics: DensityStatistics, step: StepOutput) -> None:
         """Add this image's gradients of the 2D means."""
         if self.config.density.gradient > 0:
-            active, means2d = step.active, step.rendered.projected.means2d
-            rows, gradient = active.valid(active.rows), means2d.grad
-            assert gradient is not None
-            camera = self.observations[step.frame].camera
-            scaled = gradient * upload(torch.tensor([camera.width / 2, camera.height / 2], dtype=gradient.dtype), gradient.device)
-            statistics.gradient[rows] += active.valid(torch.where(step.visible, scaled.norm(dim=1), 0))
-            statistics.visits[rows] += active.valid(step.visible)
+            add_image_gradients(statistics, step)
 
     def control(self, state: TrainState, statistics: DensityStatistics) -> None:
         """Add and remove Gaussians."""
@@ -65,3 +59,13 @@ class PaperStrategy:
             )
         large = config.prune_scale if config.reset_every and state.step > config.reset_every else 0.0
         state.adopt(prune(state.gaussians, self.observations.times, config.prune_opacity, large))
+
+
+def add_image_gradients(statistics: DensityStatistics, step: StepOutput) -> None:
+    """Add to ``gradient`` and ``visits`` what an image says: the 2D means kept their gradients (``retain_grad``)."""
+    active, gradient = step.active, step.rendered.projected.means2d.grad
+    assert gradient is not None
+    rows, (width, height) = active.valid(active.rows), step.observations.size
+    scaled = gradient * upload(torch.tensor([width / 2, height / 2], dtype=gradient.dtype), gradient.device)
+    statistics.gradient[rows] += active.valid(torch.where(step.visible, scaled.norm(dim=1), 0))
+    statistics.visits[rows] += active.valid(step.visible)
