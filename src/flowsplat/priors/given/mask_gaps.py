@@ -16,9 +16,9 @@ from flowsplat.scenes import Scene
 MAX_GAP = 12
 """Frames in a row that are filled. Chosen by eye."""
 MIN_AGREEMENT = 0.3
-"""IoU of what is carried from before and from after, from which on a frame is filled. Chosen with the others here on street, market and
-three worlds (420 frames whose true masks were taken away, ten in a row: 71 % filled, IoU .85, median; none of 12 frames in which an
-object is hidden). Checked on workshop, garden and 15 worlds, with crowds and dancers among them: 66 % of 1,620, .79, none of 7."""
+"""IoU of what is carried from before and from after, from which on a frame is filled. Chosen with the others here on street,
+market and three worlds (420 frames whose true masks were taken away, ten in a row: 71 % filled, IoU .85, median; none of 12 frames
+in which an object is hidden). Checked on workshop, garden and 15 worlds, with crowds and dancers: 66 % of 1,620, .79, none of 7."""
 MAX_RETURN = 3.0
 """Pixels by which flow may miss where it came from, there and back."""
 SOFTNESS = 1.5
