@@ -1,7 +1,9 @@
 """Registries: what registers itself is found, by folder and by entry point, and what others break breaks nothing else."""
 
 import sys
+import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -56,6 +58,25 @@ def test_what_is_in_the_folder_and_what_others_add_is_there_in_order(curves: Mak
     assert found.entry("line").sentence == "Is straight."
     assert "bend" in found
     assert "x" not in found
+
+
+def test_threads_that_ask_at_once_all_get_all(curves: Make) -> None:
+    found = curves(late="import time\ntime.sleep(0.3)\n" + HEAD + "CURVES.register('late', 'Late', 'Takes long.')(abs)\n")
+    together = threading.Barrier(4)
+
+    def ask() -> tuple[str, ...]:
+        together.wait()
+        return found.names()
+
+    with ThreadPoolExecutor(4) as pool:
+        answers = [pool.submit(ask) for _ in range(4)]
+    assert {answer.result() for answer in answers} == {("bend", "late", "line")}
+
+
+def test_a_member_may_ask_while_it_is_imported(curves: Make) -> None:
+    found = curves(asks=HEAD + "SEEN = CURVES.names()\nCURVES.register('asks', 'Asks', 'Looks round.')(abs)\n")
+    assert found.names() == ("bend", "asks", "line")
+    assert sys.modules["others_asks"].SEEN == ("bend", "line")
 
 
 def test_an_unknown_name_is_refused_with_those_that_there_are(curves: Make) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import re
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
@@ -63,7 +64,8 @@ class Registry(Generic[T]):
         self.what = what
         self._package, self._group = package, group
         self._found: dict[str, Entry[T]] = {}
-        self._is_loaded = False
+        self._is_loaded = self._is_loading = False
+        self._lock = threading.RLock()
 
     def add(self, entry: Entry[T]) -> None:
         """Make a member known.
@@ -140,9 +142,20 @@ class Registry(Generic[T]):
         return tyro.conf.arg(constructor_factory=make_type, help_behavior_hint=hint)
 
     def _load(self) -> None:
+        """Import all members, once. Other threads wait until all are there; a member that asks while it is imported does not."""
         if self._is_loaded:
             return
-        self._is_loaded = True
+        with self._lock:
+            if self._is_loaded or self._is_loading:
+                return
+            self._is_loading = True
+            try:
+                self._import_members()
+                self._is_loaded = True
+            finally:
+                self._is_loading = False
+
+    def _import_members(self) -> None:
         if self._package is not None:
             for module in pkgutil.iter_modules(importlib.import_module(self._package).__path__):
                 importlib.import_module(f"{self._package}.{module.name}")
