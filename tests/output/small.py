@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,9 @@ from flowsplat.training.checkpoint import save_model
 WIDTH, HEIGHT, FRAMES = 96, 64, 9
 FIRST, LAST = 0.5, 2.5
 
-OURS = ModelConfig(mean_poly=3, mean_fourier=1, quat_poly=1, quat_fourier=0, sh_degree=1, gains=5, freeze_background=True)
+OURS = ModelConfig(
+    mean_poly=3, mean_fourier=1, quat_poly=1, quat_fourier=0, sh_degree=1, gains=5, slopes=True, freeze_background=True
+)
 PAPER = ModelConfig()
 LINEAR = ModelConfig(move_means=False, move_quats=False, sh_degree=2)
 
@@ -37,6 +40,8 @@ def small_gaussians(config: ModelConfig = OURS, resting: int = 400, moving: int 
     means[:, 2] = torch.where(dynamic, 0.5 + 0.4 * random(count), 1 + 0.1 * random(count))
     params = {name: 0.02 * (random(count, *shape) - 0.5) for name, shape in parameter_shapes(config).items()}
     params["means"] = means
+    if config.slopes:
+        params["slopes"] *= 20
     params["times"] = torch.where(dynamic, random(count), torch.full((count,), 0.5))
     params["logit_opacities"] = 3 * random(count) - 0.5
     params["sh"][:, 0] = 3 * (random(count, 3) - 0.5)
@@ -107,6 +112,11 @@ def small_player(path: Path, model: SceneModel, title: str = "small") -> Path:
 def rendered(model: SceneModel, camera: Camera, seconds: float) -> np.ndarray:
     """[H, W, 3] our image, uncovered pixels black."""
     return render(model.gaussians, model.similarity.camera(camera), model.clip_time(seconds)).color.numpy()
+
+
+def flat(model: SceneModel) -> SceneModel:
+    """The model with one color for each Gaussian, as formats of others have it."""
+    return replace(model, gaussians=model.gaussians.without_slopes())
 
 
 def psnr(image: np.ndarray, reference: np.ndarray) -> float:

@@ -16,7 +16,6 @@ from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.speed import (
     COMMIT_SECONDS,
     ESTIMATE_FACTOR,
-    FINAL_FIT_SHARE,
     STAGES,
     UNTRIED_FACTOR,
     Speed,
@@ -27,6 +26,7 @@ from flowsplat.pipeline.speed import (
     self_test,
     stages_of,
 )
+from flowsplat.training.final import STEPS_A_HELDOUT_FRAME
 
 
 @pytest.fixture(autouse=True)
@@ -110,7 +110,7 @@ def test_more_work_is_expected_to_take_longer():
     assert all(large[stage] > small[stage] for stage in STAGES[1:])
     rest = {name: estimate_seconds(scene, config)["rest"] for name, config in CONFIGS.items()}
     assert rest["static"] - rest["plain"] == pytest.approx(0.25 * small["train"])
-    assert rest["final"] - rest["plain"] == pytest.approx(FINAL_FIT_SHARE * small["train"])
+    assert rest["final"] - rest["plain"] == pytest.approx(5 * STEPS_A_HELDOUT_FRAME / 2000 * small["train"])
 
 
 def test_what_is_true_costs_nothing(tested):

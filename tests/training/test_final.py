@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,14 @@ from flowsplat.scenes import Flow, Scene
 from flowsplat.scenes.layers import Layers
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 from flowsplat.training.config import PRESETS
-from flowsplat.training.final import final_config, final_visits, with_heldout
+from flowsplat.training.final import (
+    FIRST_RATES,
+    STEPS_A_HELDOUT_FRAME,
+    count_final_steps,
+    final_config,
+    final_visits,
+    with_heldout,
+)
 
 
 @pytest.fixture
@@ -22,11 +31,20 @@ def scene(tmp_path) -> Scene:
 @pytest.mark.parametrize("name", ["default", "paper"])
 def test_rates_go_on_and_no_gaussian_comes_or_goes(name):
     before = PRESETS[name]
-    config = final_config(before)
-    assert 1.1 * before.iterations < config.iterations < 1.3 * before.iterations
+    config, first = final_config(before, 8)
+    assert config.iterations - first == 8 * STEPS_A_HELDOUT_FRAME
+    assert first / config.iterations == pytest.approx(FIRST_RATES)
     assert (config.rates, config.loss, config.model) == (before.rates, before.loss, before.model)
     assert {config.density.every, config.density.reset_every, config.density.gradient, config.density.revise} == {0}
-    assert config.average * config.iterations < config.iterations - before.iterations
+    assert config.average * config.iterations < config.iterations - first
+
+
+def test_a_short_training_has_a_short_final_fit():
+    short = replace(PRESETS["default"], iterations=40)
+    config, first = final_config(short, 8)
+    assert config.iterations - first == 10
+    assert final_config(short, 1)[0].iterations - final_config(short, 1)[1] == 10
+    assert count_final_steps(1, 1) == 1
 
 
 def test_heldout_frames_are_drawn_as_often_as_all_others_together(scene):

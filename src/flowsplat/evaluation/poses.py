@@ -17,6 +17,7 @@ from flowsplat.evaluation.metrics import psnr
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.slicing import slice_gaussians
+from flowsplat.gaussians.slopes import image_slopes
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.scenes.clip import resize_image
@@ -125,7 +126,8 @@ def _look(gaussians: Gaussians4D, camera: Camera, t: float, target: np.ndarray) 
         sliced.means, sliced.quats, sliced.scales, sliced.opacities, viewmat, K, *size, covars=sliced.covars, near_plane=NEAR_PLANE
     )
     features = torch.cat([sliced.colors, projected.depths.detach()[:, None]], 1)
-    image, alpha = blend(projected, sliced.opacities, features, *size)
+    slopes = image_slopes(sliced, projected, camera)
+    image, alpha = blend(projected, sliced.opacities, features, *size, slopes=None if slopes is None else slopes.detach())
     # Where the model covers nothing there is nothing to compare: premultiplied like the image, the target fades out there too.
     wanted = torch.as_tensor(target, dtype=image.dtype, device=image.device) * alpha[..., None]
     error = ((image[..., :3] - wanted) ** 2).mean()

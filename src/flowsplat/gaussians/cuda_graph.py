@@ -19,6 +19,7 @@ from flowsplat.gaussians.culling.triton import Marked
 from flowsplat.gaussians.flow.triton.displacement import compute_displacement_features
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
 from flowsplat.gaussians.slicing.triton import slice_rows
+from flowsplat.gaussians.slopes.reference import project_slopes
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected, blend, project
 from flowsplat.splatting.rules import EPS2D
@@ -120,6 +121,9 @@ class FixedRenderer:
             features = compute_displacement_features(colors, projected.depths, projected.means2d, next_means, self._other)
         else:
             features = torch.cat([colors, projected.depths[:, None]], 1)
+        slopes = None
+        if "slopes" in p:
+            slopes = project_slopes(p["slopes"][rows], projected, means, quats, scales, viewmat, K - self._inside, width, height)
         with self._pairs.fix():
-            image, alpha = blend(projected, opacities, features, width, height)
+            image, alpha = blend(projected, opacities, features, width, height, slopes=slopes)
         return image, alpha, marked.ends[:, -1]

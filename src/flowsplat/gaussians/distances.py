@@ -140,6 +140,7 @@ def _move_slice(
         velocities=factor * torch.cat([resting, found.velocities]) + (1 - factor) * like(distances.compute_speed(active.t)),
         next_means=next_means,
         next_quats=found.next_quats,
+        slopes=found.slopes,
     )
 
 
@@ -163,4 +164,5 @@ def _join(parts: list[Slice]) -> Slice:
         velocities=all_of("velocities"),
         next_means=joined([part.next_means for part in parts]),
         next_quats=joined([part.next_quats for part in parts]),
+        slopes=joined([part.slopes for part in parts]),
     )

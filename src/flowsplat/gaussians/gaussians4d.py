@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -217,6 +217,12 @@ class Gaussians4D:
             params, self.dynamic.to(device), self.config, self.sh_degree, self.object_ids.to(device), seen, shadow_free
         )
 
+    def without_slopes(self) -> Gaussians4D:
+        """Return the same Gaussians, each of one color."""
+        params = {name: value for name, value in self.params.items() if name != "slopes"}
+        config = replace(self.config, slopes=False)
+        return Gaussians4D(params, self.dynamic, config, self.sh_degree, self.object_ids, self.seen, self.shadow_free)
+
     @property
     def object_counts(self) -> dict[int, int]:
         """How many Gaussians each object has, by its number, rising; without 0."""
@@ -237,13 +243,15 @@ class Gaussians4D:
 
 def parameter_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
     """Return every parameter of a model and its trailing shape."""
+    motion = motion_model(config).parameters
     return {
         "means": (3,),
         "times": (),
         "logit_opacities": (),
         "sh": (harmonics_count(config.sh_degree), 3),
         "log_gains": (config.gains,),
-        **{name: parameter.shape for name, parameter in motion_model(config).parameters.items()},
+        **({"slopes": (2,)} if config.slopes and "quats" in motion else {}),  # others have no axes of their own
+        **{name: parameter.shape for name, parameter in motion.items()},
     }
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from msgspec import Meta
 
 from flowsplat.common.bounds import Amount, Fraction, bounds_in_help
 from flowsplat.common.registry import Registry
+from flowsplat.common.settings import LEFT_OUT_BY_DEFAULT
 
 MOTION_MODELS: Registry[Callable[..., Any]] = Registry("motion model", "flowsplat.gaussians.motion", "flowsplat.motion_models")
 """What makes a ``motion.MotionModel`` from the settings. They name its members, so it knows them not."""
@@ -40,6 +41,8 @@ class ModelConfig:
     """Degree of the spherical harmonics of color, 0 to 3."""
     gains: Annotated[int, Meta(ge=0, le=256)] = 0
     """Cosines of the brightness in time of the background; 0 = off (the paper)."""
+    slopes: bool = field(default=False, metadata=LEFT_OUT_BY_DEFAULT)
+    """Brightness varies inside a Gaussian, linearly along the first two of its axes. Off: each has one color (the paper)."""
     freeze_background: bool = False
     """The background neither moves nor fades in time (as long as it is background)."""
     p_min: Fraction = 0.05

@@ -15,6 +15,7 @@ from flowsplat.gaussians.distances import Distances, slice_view
 from flowsplat.gaussians.flow import FlowModel, FlowView, blend_features, flow_channels, flow_image
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Active, Gaussians4D
 from flowsplat.gaussians.slicing import Gradients, Slice, slice_gaussians
+from flowsplat.gaussians.slopes import image_slopes
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected, blend, project
 from flowsplat.splatting.api import BackendName
@@ -102,7 +103,7 @@ def _blend(sliced: Slice, camera: Camera, flow: FlowView | None, eps2d: float, b
         covars=sliced.covars, near_plane=NEAR_PLANE, eps2d=eps2d, backend=backend,
     )  # fmt: skip
     features = blend_features(sliced, projected, camera, flow)
-    image, alpha = blend(projected, sliced.opacities, features, width, height)
+    image, alpha = blend(projected, sliced.opacities, features, width, height, slopes=image_slopes(sliced, projected, camera))
     return RenderedFrame(image, alpha, flow.model if flow else None, sliced, projected)
 
 

@@ -207,7 +207,8 @@ def _fit_heldout(folder: RunFolder, stage: Stage) -> None:
     def begin(observations: Observations, tracks: Tracks | None, train: TrainConfig) -> Gaussians4D:
         return load_model(folder.model_path).gaussians
 
+    settings, first_step = final_config(config.train, len(scene.heldout_frames))
     _train_in(
-        folder, stage, "all_frames", final_config(config.train), folder.all_frames_path, folder.all_frames_path, begin, observe,
-        config.train.iterations, final_visits(scene),
+        folder, stage, "all_frames", settings, folder.all_frames_path, folder.all_frames_path, begin, observe, first_step,
+        final_visits(scene),
     )  # fmt: skip

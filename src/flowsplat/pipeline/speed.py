@@ -31,7 +31,7 @@ from flowsplat.pipeline.config import RunConfig
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import Clip
 from flowsplat.scenes.scene import split_frames
-from flowsplat.training.final import FINAL_FIT_SHARE
+from flowsplat.training.final import count_final_steps
 
 Ratio = Annotated[float, Meta(gt=0, le=1e6)]
 
@@ -99,7 +99,8 @@ def _estimate_seconds(config: RunConfig, width: int, height: int, train_frames: 
     all_frames = (train_frames + heldout) * megapixels
     frames = config.train.frames_per_iteration or train_frames
     train = config.train.iterations * frames * (0.01 + 0.48 * megapixels)
-    final = FINAL_FIT_SHARE * train if config.final_fit and heldout else 0.0
+    share = count_final_steps(config.train.iterations, heldout) / config.train.iterations if heldout else 0.0
+    final = share * train if config.final_fit else 0.0
     static = 0.25 * train if config.baselines == "all" else 0.0
     own = config.priors.priors != "true"  # what is true is there
     return {

@@ -12,7 +12,7 @@ from flowsplat.common.devices import Kernels, kernels_on
 from flowsplat.common.triton import check_runs
 from flowsplat.splatting import reference
 from flowsplat.splatting.arguments import Array, check_numbers, check_size, to_tensors
-from flowsplat.splatting.rules import EPS2D, FAR_PLANE, NEAR_PLANE
+from flowsplat.splatting.rules import EPS2D, FAR_PLANE, NEAR_PLANE, SLOPED_FEATURES
 
 BackendName = Literal["auto", "cpu", "triton", "reference"]
 
@@ -65,7 +65,7 @@ class SplattingKernels(Protocol):
 
     def blend(
         self, means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, depths: Tensor, extents: Tensor, width: int,
-        height: int, absolute: Tensor | None,
+        height: int, absolute: Tensor | None, slopes: Tensor | None,
     ) -> tuple[Tensor, Tensor]:  # fmt: skip
         """As ``reference.blend``, with the extents of ``project`` in place of the radii."""
 
@@ -132,7 +132,14 @@ def project(
 
 
 def blend(
-    projected: Projected, opacities: Tensor, features: Tensor, width: int, height: int, *, absgrad: bool = False
+    projected: Projected,
+    opacities: Tensor,
+    features: Tensor,
+    width: int,
+    height: int,
+    *,
+    absgrad: bool = False,
+    slopes: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Composite features [N, C] front to back (the second half of ``rasterize``).
 
@@ -144,21 +151,30 @@ def blend(
         height: pixels.
         absgrad: give ``projected.means2d`` an attribute ``absgrad`` [N, 2]: zeros, to which backward adds the sum over pixels of
             the absolute gradient of the 2D mean (AbsGS, https://arxiv.org/abs/2404.10484). One that is there already is used.
+        slopes: [N, 2] by how much the first three features grow, all alike, a pixel to the right and a pixel down of the
+            Gaussian's center. Ours; None = every feature is the same all over a Gaussian. Not with ``absgrad``.
 
     Returns:
         features [H, W, C] on black and alphas [H, W].
+
+    Raises:
+        ValueError: a shape does not fit, or ``absgrad`` is asked for with slopes.
     """
     if features.ndim != 2 or len(features) != len(opacities):
         raise ValueError(f"features must be [N, C], not {list(features.shape)}")
+    if slopes is not None and (slopes.shape != (len(features), 2) or features.shape[1] < SLOPED_FEATURES):
+        raise ValueError(f"slopes must be [N, 2] with features [N, 3 or more], not {list(slopes.shape)}")
+    if slopes is not None and absgrad:
+        raise ValueError("absolute gradients are those of Gaussians without slopes")
     p, absolute = projected, None
     if absgrad:
         absolute = getattr(p.means2d, "absgrad", None)
         if absolute is None:
             absolute = p.means2d.absgrad = torch.zeros_like(p.means2d)  # type: ignore[attr-defined]
     if p.backend == "reference":
-        return reference.blend(p.means2d, p.conics, opacities, features, p.depths, p.radii, width, height, absolute)
+        return reference.blend(p.means2d, p.conics, opacities, features, p.depths, p.radii, width, height, absolute, slopes)
     assert p.extents is not None
-    return _kernels(p.backend).blend(p.means2d, p.conics, opacities, features, p.depths, p.extents, width, height, absolute)
+    return _kernels(p.backend).blend(p.means2d, p.conics, opacities, features, p.depths, p.extents, width, height, absolute, slopes)
 
 
 def rasterize(

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from flowsplat.geometry.projection import camera_jacobian, to_camera
 from flowsplat.geometry.rotations import covariances
-from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, OPACITY_FLOOR, RADIUS_MAX, TRANSMITTANCE_MIN
+from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, OPACITY_FLOOR, RADIUS_MAX, SLOPED_FEATURES, TRANSMITTANCE_MIN
 
 STRIP_ROWS = 8
 """Rows blended at a time, so that the matrices fit a cache."""
@@ -75,10 +75,11 @@ def blend(
     width: int,
     height: int,
     absolute: Tensor | None = None,  # [N, 2]
+    slopes: Tensor | None = None,  # [N, 2]
 ) -> tuple[Tensor, Tensor]:
     """Alpha compositing front to back: features [H, W, C] and alphas [H, W] (docs/method.md, "Compositing").
 
-    Backward adds to ``absolute`` the sum over pixels of the absolute gradient of means2d.
+    ``slopes``: as in ``api.blend``. Backward adds to ``absolute`` the sum over pixels of the absolute gradient of means2d.
     """
     visible = torch.nonzero((radii > 0).all(1)).squeeze(1)
     order = visible[torch.sort(depths[visible], stable=True).indices]
@@ -86,7 +87,7 @@ def blend(
     strips = [
         _blend_rows(
             means2d, conics, opacities, features, order[(bottom > row) & (top < row + STRIP_ROWS)], width,
-            torch.arange(row, min(row + STRIP_ROWS, height)), absolute,
+            torch.arange(row, min(row + STRIP_ROWS, height)), absolute, slopes,
         )
         for row in range(0, height, STRIP_ROWS)
     ]  # fmt: skip
@@ -103,6 +104,7 @@ def _blend_rows(
     width: int,
     rows: Tensor,
     absolute: Tensor | None,
+    slopes: Tensor | None,
 ) -> tuple[Tensor, Tensor]:
     """Return the given rows of the image, from the Gaussians in ``order``."""
     x = torch.arange(width, dtype=means2d.dtype, device=means2d.device) + 0.5
@@ -125,5 +127,9 @@ def _blend_rows(
     after = torch.cumprod(1 - alpha, 1)
     before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], 1)
     image = (alpha * before) @ features[order]
+    if slopes is not None:
+        sx, sy = slopes[order].unbind(-1)
+        shade = (alpha * before * (sx * dx + sy * dy)).sum(1, keepdim=True)
+        image = torch.cat([image[:, :SLOPED_FEATURES] + shade, image[:, SLOPED_FEATURES:]], 1)
     remaining = after[:, -1] if len(order) else torch.ones_like(pixels[:, 0, 0])
     return image.reshape(len(rows), width, -1), (1 - remaining).reshape(len(rows), width)

@@ -8,6 +8,8 @@ ALPHA_MAX = 0.999
 """Alpha is clamped here, and has no gradient where it is (docs/method.md, "Flow splatting")."""
 TRANSMITTANCE_MIN = 1e-4
 """A Gaussian that would bring a pixel's transmittance to this or below is not drawn (docs/method.md, "Flow splatting")."""
+FOOTPRINT_NEAR_PLANE = 0.05
+"""Planar depth (median depth = 1) below which a footprint is taken as it is here. Chosen by eye."""
 EPS2D = 0.3
 """px^2 added to the diagonal of every 2D covariance (docs/method.md, "Flow splatting")."""
 NEAR_PLANE, FAR_PLANE = 0.01, 1e10
@@ -15,6 +17,8 @@ NEAR_PLANE, FAR_PLANE = 0.01, 1e10
 TANGENT_MARGIN = projection.TANGENT_MARGIN  # image sizes beyond the border where tangents of Jacobians are clamped
 OPACITY_FLOOR = 1e-12
 """Keeps the logarithm of an opacity finite. A round number."""
+SLOPED_FEATURES = 3
+"""Of the features of a Gaussian, the first ones that its slopes change: red, green and blue."""
 RADIUS_MAX = 1e6
 """Pixels. A round number."""
 DETERMINANT_MAX = 1e30

@@ -51,6 +51,8 @@ class RatesConfig:
     """Polynomial and Fourier coefficients."""
     gains: Amount = 0.015
     """Brightness in time: its slowest wave."""
+    slopes: Amount = field(default=0.03, metadata=LEFT_OUT_BY_DEFAULT)
+    """Brightness inside a Gaussian, per standard deviation."""
     gains_falloff: Amount = 0.5
     """The k-th wave of brightness learns at k to the power of minus this of that rate."""
     moving: Amount = 3.0
@@ -195,7 +197,15 @@ _OURS = TrainConfig(
     iterations=2000,
     loss=LossConfig(rigid=0.1, coverage=0.1, rigid_neighbors=10),
     model=ModelConfig(
-        mean_poly=4, mean_fourier=0, quat_poly=1, quat_fourier=0, p_min=0.15, sh_degree=1, gains=16, freeze_background=True
+        mean_poly=4,
+        mean_fourier=0,
+        quat_poly=1,
+        quat_fourier=0,
+        p_min=0.15,
+        sh_degree=1,
+        gains=16,
+        slopes=True,
+        freeze_background=True,
     ),
     density=DensityConfig(every=250, start=250, stop=0.8, gradient=0.0, prune_scale=0.0, reset_every=0),
 )

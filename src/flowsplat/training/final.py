@@ -12,9 +12,14 @@ from flowsplat.scenes import Flow, Scene, StoredFlow
 from flowsplat.scenes.layers import Layers
 from flowsplat.training.config import TrainConfig
 
-FINAL_FIT_SHARE = 0.25
-"""Steps of the final fit, as a share of those of the training. With a quarter no held-out frame of bear and lady-running stays
-behind (docs/method.md, "Training")."""
+STEPS_A_HELDOUT_FRAME = 20
+"""Steps of the final fit for each held-out frame, no more than ``MAX_FINAL_FIT_SHARE`` of those of the training: then no held-out
+frame of bear, train and camel stays behind (docs/method.md, "The final fit")."""
+MAX_FINAL_FIT_SHARE = 0.25
+"""Of the steps of the training, those of the final fit at most. Chosen by eye."""
+FIRST_RATES = 0.8
+"""Where in their fall from the beginning to the end of a training the rates of the final fit begin (docs/method.md, "The final
+fit")."""
 AVERAGED_SHARE = 0.5
 """Of the steps of the final fit, the share over which its result is the mean, where training has such a mean
 (docs/method.md, "Training")."""
@@ -23,18 +28,26 @@ NEIGHBOR_VISITS = 2
 frames beside it, too, and they would lose what the held-out frame gains (docs/method.md, "Training")."""
 
 
-def final_config(config: TrainConfig) -> TrainConfig:
-    """Return the settings of a training and its final fit in one: rates go on falling to what they would have ended at.
+def count_final_steps(iterations: int, heldout: int) -> int:
+    """Return how many steps the final fit takes after ``iterations`` of training, for ``heldout`` frames."""
+    return max(1, min(STEPS_A_HELDOUT_FRAME * heldout, math.ceil(MAX_FINAL_FIT_SHARE * iterations)))
 
-    Gaussians are neither added nor removed, and none begins to move or comes to rest.
+
+def final_config(config: TrainConfig, heldout: int) -> tuple[TrainConfig, int]:
+    """Return the settings of the final fit for ``heldout`` frames, and the step that it begins with.
+
+    It is the end of a training that is as much longer as puts the first rates where ``FIRST_RATES`` says. Gaussians are neither
+    added nor removed, and none begins to move or comes to rest.
     """
-    added = math.ceil(FINAL_FIT_SHARE * config.iterations)
-    return replace(
+    steps = count_final_steps(config.iterations, heldout)
+    iterations = round(steps / (1 - FIRST_RATES))
+    settings = replace(
         config,
-        iterations=config.iterations + added,
-        average=min(config.average, AVERAGED_SHARE * added / (config.iterations + added)),
+        iterations=iterations,
+        average=min(config.average, AVERAGED_SHARE * steps / iterations),
         density=replace(config.density, every=0, reset_every=0, gradient=0.0, revise=False),
     )
+    return settings, iterations - steps
 
 
 def with_heldout(observations: Observations, scene: Scene, layers: Layers) -> Observations:

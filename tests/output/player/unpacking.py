@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import torch
 
+from flowsplat.gaussians.slicing import Slice
+from flowsplat.gaussians.slopes.reference import image_slopes
 from flowsplat.geometry import Camera, Similarity
-from flowsplat.splatting import rasterize
+from flowsplat.splatting import blend, project
 from flowsplat.splatting.harmonics import colors_from_harmonics
 
 
@@ -73,7 +75,9 @@ def show(about: dict[str, Any], arrays: dict[str, np.ndarray], camera: Camera, s
     if about["gains"]:
         cosines = np.cos(np.pi * t * np.arange(1, about["gains"] + 1))
         colors[:resting] *= np.exp(arrays["gains"] @ cosines)[:, None]
-    inputs = [means, quats, np.exp(arrays["logScales"]), opacities, colors]
-    tensors = [torch.from_numpy(np.ascontiguousarray(a, np.float32)) for a in inputs]
-    size = moved.width, moved.height
-    return rasterize(*tensors, *moved.tensors(), *size, near_plane=about["near"], eps2d=about["eps2d"], backend=backend)[0].numpy()
+    given = [means, quats, np.exp(arrays["logScales"]), opacities, colors, arrays.get("slopes", np.zeros((len(means), 2)))]
+    means, quats, scales, opacities, colors, slopes = (torch.from_numpy(np.ascontiguousarray(a, np.float32)) for a in given)
+    size, planes = (moved.width, moved.height), {"near_plane": about["near"], "eps2d": about["eps2d"]}
+    projected = project(means, quats, scales, opacities, *moved.tensors(), *size, **planes, backend=backend)
+    sliced = Slice(means, quats, scales, None, opacities, colors, means, None, None, slopes)
+    return blend(projected, opacities, colors, *size, slopes=image_slopes(sliced, projected, moved))[0].numpy()

@@ -11,13 +11,12 @@ from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry.projection import project_points, world_jacobian
 from flowsplat.geometry.rotations import covariances, quats_to_rotations
 from flowsplat.splatting import Projected
-from flowsplat.splatting.rules import EPS2D
+from flowsplat.splatting.rules import EPS2D, FOOTPRINT_NEAR_PLANE
 
 FlowModel = Literal["mean", "displacement", "affine"]
 
-FLOW_NEAR_PLANE = 0.05
-"""Planar depth (median depth = 1) below which a Gaussian is behind or grazing the other camera and contributes no flow.
-Chosen by eye."""
+FLOW_NEAR_PLANE = FOOTPRINT_NEAR_PLANE
+"""Planar depth (median depth = 1) below which a Gaussian is behind or grazing the other camera and contributes no flow."""
 
 
 def flow_channels(model: FlowModel) -> int:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Protocol
 
 from torch import Tensor
@@ -34,6 +35,7 @@ class Slice:
         velocities: [M, 3] of the moving ones, per clip length.
         next_means: [A, 3] at the other time; None if none was asked for.
         next_quats: [A, 4] likewise.
+        slopes: [A, 2] by how much each gets brighter along its first two axes, a standard deviation; None = not at all.
     """
 
     means: Tensor
@@ -45,6 +47,7 @@ class Slice:
     velocities: Tensor
     next_means: Tensor | None
     next_quats: Tensor | None
+    slopes: Tensor | None = None
 
 
 class SliceKernels(Protocol):
@@ -91,4 +94,10 @@ def slice_gaussians(
         gradients: where the gradients of the parameters go in the backward pass (a parameter that nothing depends on may be
             missing then); None = the slice is not differentiable.
     """
-    return _twin(gaussians.sliced_by).slice_gaussians(gaussians, active, camera_center, next_time, gradients)
+    sliced = _twin(gaussians.sliced_by).slice_gaussians(gaussians, active, camera_center, next_time, gradients)
+    if "slopes" not in gaussians.params:
+        return sliced
+    slopes = gaussians.params["slopes"][active.rows]
+    if gradients is not None:
+        slopes.requires_grad_().register_hook(partial(gradients.__setitem__, "slopes"))
+    return replace(sliced, slopes=slopes)

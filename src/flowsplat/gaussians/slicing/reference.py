@@ -23,7 +23,7 @@ def slice_gaussians(
     gaussians: Gaussians4D, active: Active, camera_center: Tensor, next_time: float | None, gradients: Gradients | None
 ) -> Slice:
     """See ``api.slice_gaussians``."""
-    leaves = gaussians.gather(active)
+    leaves = {name: leaf for name, leaf in gaussians.gather(active).items() if name != "slopes"}  # of ``api``
     if gradients is not None:
         for name, leaf in leaves.items():
             leaf.requires_grad_().register_hook(partial(gradients.__setitem__, name))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder
@@ -11,6 +14,7 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.output.export.formats import EXPORTERS
 from flowsplat.output.export.importance import choose_most_important
 from flowsplat.output.export.options import ExportOptions
+from flowsplat.output.export.still import middle_or
 from flowsplat.scenes import Scene
 
 
@@ -43,6 +47,8 @@ def export_scene(model: SceneModel, scene: Scene, to: str, path: str | Path | No
         model = choose_most_important(model, views, options.max_gaussians)
     what = f"{len(model.gaussians):,} Gaussians" if exporter.has_gaussians else f"{scene.num_frames} cameras"
     report(f"{what} as {to}: about {_readable(exporter.estimate_bytes(model, scene, options))} in {path}")
+    if exporter.has_gaussians and not exporter.keeps_slopes and model.gaussians.config.slopes:
+        _tell_lost_slopes(model, scene, to, options)
     exporter.write(path, model, scene, options)
     if not path.exists():
         raise InputError(f"Nothing was written: format {to} made no {path}.")
@@ -64,6 +70,15 @@ def _check(model: SceneModel, to: str, options: ExportOptions) -> None:
         raise InputError(f"--max-gaussians is {options.max_gaussians}: give at least 1.")
     if not len(model.gaussians):
         raise InputError("The scene has no Gaussians: there is nothing to export.")
+
+
+def _tell_lost_slopes(model: SceneModel, scene: Scene, to: str, options: ExportOptions) -> None:
+    seconds = middle_or(model, options.time)
+    camera = scene.cameras[int(np.abs(scene.timestamps - seconds).argmin())]
+    flat = replace(model, gaussians=model.gaussians.without_slopes())
+    error = float(np.mean((model.render(camera, seconds).color - flat.render(camera, seconds).color) ** 2))
+    same = f"{-10 * np.log10(error):.1f} dB between images with and without it" if error > 0 else "which changes no image here"
+    report(f"{to} has one color for each Gaussian: how brightness varies inside is left out ({same}).")
 
 
 def _readable(size: float) -> str:

@@ -30,7 +30,7 @@ def _array(tensor: Tensor) -> np.ndarray:
 
 _NO_QUATS, _NO_SCALES = np.zeros((0, 4), np.float32), np.zeros((0, 3), np.float32)
 _NO_COVARS = np.zeros((0, 3, 3), np.float32)
-_NO_ABSOLUTE = np.zeros((0, 2), np.float32)
+_NO_ABSOLUTE = _NO_SLOPES = np.zeros((0, 2), np.float32)
 
 
 class _Project(torch.autograd.Function):
@@ -96,18 +96,21 @@ class _Project(torch.autograd.Function):
 class _Blend(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, depths: Tensor,
-                extents: Tensor, width: int, height: int, absolute: Tensor | None) -> tuple[Tensor, Tensor]:  # fmt: skip
+                extents: Tensor, width: int, height: int, absolute: Tensor | None,
+                slopes: Tensor | None) -> tuple[Tensor, Tensor]:  # fmt: skip
         lease = Lease()
         space = lease.workspace
         count, channels = features.shape
         xy, conic, opacity, feature, extent = map(_array, (means2d, conics, opacities, features, extents))
+        slope = _NO_SLOPES if slopes is None else _array(slopes)
+        sloped = (0,) * (slopes is not None)
         order = space.array("order", count, np.uint32)
         visible = tiles.sort_by_depth(
             _array(depths).view(np.uint32), extent, order,
             space.array("keys_a", count, np.uint32), space.array("keys_b", count, np.uint32),
             space.array("values", count, np.uint32),
         )  # fmt: skip
-        sums = tiles.GEOMETRY + (0 if absolute is None else blending.ABSOLUTE)
+        sums = tiles.GEOMETRY + (0 if absolute is None else blending.ABSOLUTE) + blending.SLOPES * len(sloped)
         stride = -(-(sums + channels) // 16) * 16
         records = space.array("records", visible * stride, np.float32)
         chunks, tile_count = thread_count(), -(-width // tiles.TILE_WIDTH) * -(-height // tiles.TILE_HEIGHT)
@@ -119,7 +122,8 @@ class _Blend(torch.autograd.Function):
             strips = space.array("strips", 3 * chunks * room, np.int32).reshape(chunks, room, 3)
             chunk_counts[:] = 0
             parallel_for(
-                tiles.pack_and_cut, chunks, visible, order, xy, conic, opacity, feature, width, height, records, stride, strips,
+                tiles.pack_and_cut, chunks, visible, order, xy, conic, opacity, feature, slope, width, height, records, stride,
+                strips,
                 strip_counts, columns, chunk_counts, instance_offsets,
             )  # fmt: skip
             if strip_counts.max() <= room:
@@ -138,12 +142,12 @@ class _Blend(torch.autograd.Function):
         tile_stops = space.array("tile_stops", tile_count, np.int64)
         parallel_for(
             blending.blend_forward, tile_count, width, height, records, stride, instances, tile_offsets, image.numpy(),
-            transmittance.numpy(), tile_stops, (0,) * channels, pieces=_BLEND_PIECES,
+            transmittance.numpy(), tile_stops, sloped, (0,) * channels, pieces=_BLEND_PIECES,
         )  # fmt: skip
         ctx.lease, ctx.size, ctx.stride, ctx.visible, ctx.total = lease, (width, height), stride, visible, total
         ctx.tiles = records, instances, tile_offsets, tile_stops, order, instance_offsets
         ctx.save_for_backward(image, transmittance)
-        ctx.inputs, ctx.absolute = (conic, opacity), absolute
+        ctx.inputs, ctx.absolute, ctx.sloped = (conic, opacity, slope), absolute, sloped
         ctx.set_materialize_grads(False)
         return image, 1 - transmittance
 
@@ -151,7 +155,7 @@ class _Blend(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, grad_image: Tensor | None, grad_alphas: Tensor | None) -> tuple[Tensor | None, ...]:
         image, transmittance = ctx.saved_tensors
-        (conic, opacity), (width, height) = ctx.inputs, ctx.size
+        (conic, opacity, slope), (width, height) = ctx.inputs, ctx.size
         records, instances, tile_offsets, tile_stops, order, instance_offsets = ctx.tiles
         count, channels = len(opacity), image.shape[2]
         grad_image = torch.zeros_like(image) if grad_image is None else grad_image
@@ -160,16 +164,18 @@ class _Blend(torch.autograd.Function):
         parallel_for(
             blending.blend_backward, len(tile_stops), width, height, records, ctx.stride, instances, tile_offsets, tile_stops,
             image.detach().numpy(), transmittance.numpy(), _array(grad_image), _array(grad_alphas), out,
-            (0,) * (0 if ctx.absolute is None else blending.ABSOLUTE), (0,) * channels, pieces=_BLEND_PIECES,
+            (0,) * (0 if ctx.absolute is None else blending.ABSOLUTE), ctx.sloped, (0,) * channels, pieces=_BLEND_PIECES,
         )  # fmt: skip
         grad_means2d, grad_conics = torch.zeros(count, 2), torch.zeros(count, 3)
         grad_opacities, grad_features = torch.zeros(count), torch.zeros(count, channels)
+        grad_slopes = torch.zeros(len(slope), 2)
         parallel_for(
-            blending.gather_gradients, ctx.visible, order, instance_offsets, out, ctx.stride, conic, opacity,
-            grad_means2d.numpy(), grad_conics.numpy(), grad_opacities.numpy(), grad_features.numpy(),
+            blending.gather_gradients, ctx.visible, order, instance_offsets, out, ctx.stride, conic, opacity, slope,
+            grad_means2d.numpy(), grad_conics.numpy(), grad_opacities.numpy(), grad_features.numpy(), grad_slopes.numpy(),
             _NO_ABSOLUTE if ctx.absolute is None else ctx.absolute.numpy(),
         )  # fmt: skip
-        return grad_means2d, grad_conics, grad_opacities, grad_features, None, None, None, None, None
+        grad_sloped = grad_slopes if ctx.sloped else None
+        return grad_means2d, grad_conics, grad_opacities, grad_features, None, None, None, None, None, grad_sloped
 
 
 def project(*args: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -180,16 +186,16 @@ def project(*args: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
 
 def blend(
     means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, depths: Tensor, extents: Tensor, width: int, height: int,
-    absolute: Tensor | None,
+    absolute: Tensor | None, slopes: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:  # fmt: skip
     """As ``reference.blend``, with the extents of ``project`` in place of the radii.
 
     The kernels are compiled for every number of channels, which takes the longer the more there are. Absolute gradients are of
-    all channels together, so they are not taken in pieces.
+    all channels together, so they are not taken in pieces. Slopes are of channels in the first piece.
     """
     pieces = [
-        _Blend.apply(means2d, conics, opacities, piece, depths, extents, width, height, absolute)
-        for piece in features.split(MAX_CHANNELS if absolute is None else features.shape[1], 1)
+        _Blend.apply(means2d, conics, opacities, piece, depths, extents, width, height, absolute, None if k else slopes)
+        for k, piece in enumerate(features.split(MAX_CHANNELS if absolute is None else features.shape[1], 1))
     ]
     if len(pieces) == 1:
         return pieces[0]

@@ -68,7 +68,7 @@ def sort_by_depth(depth_bits, extents, order, keys_a, keys_b, values):
 
 
 @inline
-def _pack(i, means2d, conics, opacities, features, last_column, records, o, ellipse):
+def _pack(i, means2d, conics, opacities, features, slopes, last_column, records, o, ellipse):
     """The record of Gaussian i at records[o:], and the ellipse in which it is drawn.
 
     ellipse: center; the first and last column of pixels that it covers (first > last: none); then slope, top, bend and lowest:
@@ -84,6 +84,9 @@ def _pack(i, means2d, conics, opacities, features, last_column, records, o, elli
     records[o + 5] = level * EXPONENT
     for channel in range(features.shape[1]):
         records[o + GEOMETRY + channel] = features[i, channel]
+    if slopes.shape[0] > 0:
+        end = o + GEOMETRY + features.shape[1]
+        records[end], records[end + 1] = slopes[i, 0], slopes[i, 1]
     # Drawn is where a dx^2 + 2 b dx dy + c dy^2 <= limit.
     limit = max(TWO * (level - LOG_ALPHA_MIN), ZERO)
     # Of a very long and thin one the difference may come out as nothing, or below.
@@ -101,13 +104,14 @@ def _pack(i, means2d, conics, opacities, features, last_column, records, o, elli
 
 @kernel
 def pack_and_cut(
-    begin_chunk, end_chunk, visible, order, means2d, conics, opacities, features, width, height, records, stride, strips,
+    begin_chunk, end_chunk, visible, order, means2d, conics, opacities, features, slopes, width, height, records, stride, strips,
     strip_counts, columns,
     chunk_counts, instance_offsets,
 ):  # fmt: skip
     """One record a Gaussian in depth order, and for every tile column the image rows that its ellipse covers there.
 
-    The exponent of a record is in base 2 and divided by 8 (see ``blending``). strips [chunks, capacity, 3] takes tile column,
+    slopes is [N, 2], or [0, 2] where there are none. The exponent of a record is in base 2 and divided by 8 (see
+    ``blending``). strips [chunks, capacity, 3] takes tile column,
     first and last row, Gaussian after Gaussian of a chunk, columns[s] of them for Gaussian s; strip_counts [chunks] says how
     many there are, also those that found no room. chunk_counts [chunks, tiles] counts the instances that a tile gets from a
     chunk; instance_offsets[s + 1] those of Gaussian s.
@@ -128,7 +132,7 @@ def pack_and_cut(
                 prefetch(conics, ahead * 3)
                 prefetch(features, ahead * features.shape[1])
                 prefetch(opacities, ahead)
-                _pack(int64(order[s]), means2d, conics, opacities, features, w, records, s * stride, ellipses[s - begin])
+                _pack(int64(order[s]), means2d, conics, opacities, features, slopes, w, records, s * stride, ellipses[s - begin])
             for s in range(begin, begin + size):
                 e = ellipses[s - begin]
                 x, y, left, right, slope, top, bend, lowest = e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7]

@@ -12,6 +12,7 @@ from torch.autograd.function import once_differentiable
 
 from flowsplat.common.devices import Later
 from flowsplat.common.triton import device_of, power_of_two, rows_per_program
+from flowsplat.splatting.rules import SLOPED_FEATURES
 from flowsplat.splatting.triton import blending, tiles
 from flowsplat.splatting.triton import projection as kernels
 from flowsplat.splatting.triton.tiles import Binned, Counted
@@ -203,8 +204,21 @@ def blend(
     width: int,
     height: int,
     absolute: Tensor | None = None,  # [N, 2]
+    slopes: Tensor | None = None,  # [N, 2]
 ) -> tuple[Tensor, Tensor]:
-    """As ``reference.blend``, with the extents of ``project`` in place of the radii. Keeps nothing without a gradient."""
+    """As ``reference.blend``, with the extents of ``project`` in place of the radii. Keeps nothing without a gradient.
+
+    What slopes add is linear in the pixel, so it is blended as two more features and put together afterwards.
+    """
+    if slopes is not None:
+        right, down = means2d[:, :1] - width / 2, means2d[:, 1:] - height / 2
+        at_middle = features[:, :SLOPED_FEATURES] - slopes[:, :1] * right - slopes[:, 1:] * down
+        features = torch.cat([at_middle, features[:, SLOPED_FEATURES:], slopes], 1)
+        image, alphas = blend(means2d, conics, opacities, features, depths, extents, width, height, absolute)
+        x = torch.arange(width, device=image.device, dtype=image.dtype) + 0.5 - width / 2
+        y = torch.arange(height, device=image.device, dtype=image.dtype) + 0.5 - height / 2
+        added = image[..., -2:-1] * x[None, :, None] + image[..., -1:] * y[:, None, None]
+        return torch.cat([image[..., :SLOPED_FEATURES] + added, image[..., SLOPED_FEATURES:-2]], 2), alphas
     inputs = means2d, conics, opacities, features
     if len(means2d) == 0:
         nothing = sum(value.sum() for value in inputs)

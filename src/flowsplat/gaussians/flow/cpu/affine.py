@@ -15,77 +15,18 @@ from torch.autograd.function import once_differentiable
 
 from flowsplat.common.kernels import inline, kernel
 from flowsplat.common.threads import parallel_for
-from flowsplat.gaussians.flow.reference import FLOW_NEAR_PLANE
 from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected
-from flowsplat.splatting.cpu.projection import CLAMP_MARGIN, ONE, ZERO, clamp, rotation, rotation_gradient
+from flowsplat.splatting.cpu.footprint import NEAR_CLIP, footprint, footprint_gradient, tangent_limits
+from flowsplat.splatting.cpu.projection import ONE, ZERO
 from flowsplat.splatting.rules import EPS2D
 
 CHANNELS = 10
 """Color 3, depth, flow at the center of the image 2, B by rows 4."""
 CHUNKS = 64
 """Ranges into which Gaussians are cut, whatever the number of threads."""
-NEAR_CLIP, BLUR_VARIANCE = np.float32(FLOW_NEAR_PLANE), np.float32(EPS2D)
-
-
-@inline
-def _footprint(means, quats, scales, i, view, K, limits, turned, L, seen):
-    """Fill turned [3, 3] = R S, L [2, 3] = J R S and seen: the point in camera axes, its clamped tangents, 1 / z and J's rows."""
-    r00, r01, r02, r10, r11, r12, r20, r21, r22, _, _, _, _, _ = rotation(quats, i)
-    s0, s1, s2 = scales[i, 0], scales[i, 1], scales[i, 2]
-    turned[0, 0], turned[0, 1], turned[0, 2] = r00 * s0, r01 * s1, r02 * s2
-    turned[1, 0], turned[1, 1], turned[1, 2] = r10 * s0, r11 * s1, r12 * s2
-    turned[2, 0], turned[2, 1], turned[2, 2] = r20 * s0, r21 * s1, r22 * s2
-    px, py, pz = means[i, 0], means[i, 1], means[i, 2]
-    x = view[0, 0] * px + view[0, 1] * py + view[0, 2] * pz + view[0, 3]
-    y = view[1, 0] * px + view[1, 1] * py + view[1, 2] * pz + view[1, 3]
-    z = view[2, 0] * px + view[2, 1] * py + view[2, 2] * pz + view[2, 3]
-    inverse = ONE / max(z, NEAR_CLIP)
-    tx, ty = clamp(x * inverse, limits[0], limits[1]), clamp(y * inverse, limits[2], limits[3])
-    seen[0], seen[1], seen[2], seen[3], seen[4], seen[5] = x, y, z, tx, ty, inverse
-    for d in range(3):
-        a = K[0, 0] * inverse * (view[0, d] - tx * view[2, d])
-        b = K[1, 1] * inverse * (view[1, d] - ty * view[2, d])
-        seen[6 + d], seen[9 + d] = a, b
-    for k in range(3):
-        L[0, k] = seen[6] * turned[0, k] + seen[7] * turned[1, k] + seen[8] * turned[2, k]
-        L[1, k] = seen[9] * turned[0, k] + seen[10] * turned[1, k] + seen[11] * turned[2, k]
-
-
-@inline
-def _footprint_gradient(quats, scales, i, view, K, turned, seen, d_L, gu, gv, d_mean, d_quat, d_scale):
-    """Fill d_mean [3] and d_quat [4] and add to d_scale [3], from d_L [2, 3] and the gradient gu, gv of the pixel."""
-    fx, fy = K[0, 0], K[1, 1]
-    x, y, z, tx, ty, inverse = seen[0], seen[1], seen[2], seen[3], seen[4], seen[5]
-    dj00, dj02, dj11, dj12 = ZERO, ZERO, ZERO, ZERO
-    for r in range(3):
-        a = turned[r, 0] * d_L[0, 0] + turned[r, 1] * d_L[0, 1] + turned[r, 2] * d_L[0, 2]
-        b = turned[r, 0] * d_L[1, 0] + turned[r, 1] * d_L[1, 1] + turned[r, 2] * d_L[1, 2]
-        dj00 += a * view[0, r]
-        dj02 += a * view[2, r]
-        dj11 += b * view[1, r]
-        dj12 += b * view[2, r]
-    dux = gu * fx - (dj02 * fx * inverse if tx == x * inverse else ZERO)
-    duy = gv * fy - (dj12 * fy * inverse if ty == y * inverse else ZERO)
-    d_inverse = fx * (dj00 - dj02 * tx) + fy * (dj11 - dj12 * ty) + dux * x + duy * y
-    dx, dy, dz = dux * inverse, duy * inverse, -d_inverse * inverse * inverse if z > NEAR_CLIP else ZERO
-    for d in range(3):
-        d_mean[d] = view[0, d] * dx + view[1, d] * dy + view[2, d] * dz
-    r00, r01, r02, r10, r11, r12, r20, r21, r22, qw, qx, qy, qz, length = rotation(quats, i)
-    a0, a1, a2, b0, b1, b2 = seen[6], seen[7], seen[8], seen[9], seen[10], seen[11]
-    p0, p1, p2, q0, q1, q2 = d_L[0, 0], d_L[0, 1], d_L[0, 2], d_L[1, 0], d_L[1, 1], d_L[1, 2]
-    # The gradient of R S is J^T d_L.
-    w00, w01, w02 = a0 * p0 + b0 * q0, a0 * p1 + b0 * q1, a0 * p2 + b0 * q2
-    w10, w11, w12 = a1 * p0 + b1 * q0, a1 * p1 + b1 * q1, a1 * p2 + b1 * q2
-    w20, w21, w22 = a2 * p0 + b2 * q0, a2 * p1 + b2 * q1, a2 * p2 + b2 * q2
-    d_scale[0] += r00 * w00 + r10 * w10 + r20 * w20
-    d_scale[1] += r01 * w01 + r11 * w11 + r21 * w21
-    d_scale[2] += r02 * w02 + r12 * w12 + r22 * w22
-    s0, s1, s2 = scales[i, 0], scales[i, 1], scales[i, 2]
-    d_quat[0], d_quat[1], d_quat[2], d_quat[3] = rotation_gradient(
-        w00 * s0, w01 * s1, w02 * s2, w10 * s0, w11 * s1, w12 * s2, w20 * s0, w21 * s1, w22 * s2, qw, qx, qy, qz, length
-    )
+BLUR_VARIANCE = np.float32(EPS2D)
 
 
 @inline
@@ -118,8 +59,8 @@ def _forward(
             for c in range(3):
                 features[i, c] = colors[i, c]
             features[i, 3] = depths[i]
-            _footprint(means, quats, scales, i, views[0], Ks[0], limits[0], turned, L, seen)
-            _footprint(next_means, next_quats, scales, i, views[1], Ks[1], limits[1], turned, later, seen)
+            footprint(means, quats, scales, i, views[0], Ks[0], limits[0], turned, L, seen)
+            footprint(next_means, next_quats, scales, i, views[1], Ks[1], limits[1], turned, later, seen)
             front = seen[2] > NEAR_CLIP
             if front:
                 z00, z01, z10, z11, xx, xy, yy = _products(L, later)
@@ -161,10 +102,10 @@ def _backward(
             d_depths[i] = gradient[i, 3]
             d_means2d[i, 0] = ZERO
             d_means2d[i, 1] = ZERO
-            _footprint(next_means, next_quats, scales, i, views[1], Ks[1], limits[1], next_turned, later, next_seen)
+            footprint(next_means, next_quats, scales, i, views[1], Ks[1], limits[1], next_turned, later, next_seen)
             if not next_seen[2] > NEAR_CLIP:
                 continue
-            _footprint(means, quats, scales, i, views[0], Ks[0], limits[0], turned, L, seen)
+            footprint(means, quats, scales, i, views[0], Ks[0], limits[0], turned, L, seen)
             z00, z01, z10, z11, xx, xy, yy = _products(L, later)
             b00, b01, b10, b11 = z00 * xx + z01 * xy, z00 * xy + z01 * yy, z10 * xx + z11 * xy, z10 * xy + z11 * yy
             gu, gv = gradient[i, 4], gradient[i, 5]
@@ -183,10 +124,10 @@ def _backward(
                 d_later[1, k] = h10 * L[0, k] + h11 * L[1, k]
                 d_L[0, k] = h00 * later[0, k] + h10 * later[1, k] + (y00 + y00) * L[0, k] + cross * L[1, k]
                 d_L[1, k] = h01 * later[0, k] + h11 * later[1, k] + cross * L[0, k] + (y11 + y11) * L[1, k]
-            _footprint_gradient(
+            footprint_gradient(
                 quats, scales, i, views[0], Ks[0], turned, seen, d_L, ZERO, ZERO, d_means[i], d_quats[i], d_scales[i]
             )
-            _footprint_gradient(
+            footprint_gradient(
                 next_quats, scales, i, views[1], Ks[1], next_turned, next_seen, d_later, gu, gv, d_next_means[i], d_next_quats[i],
                 d_scales[i],
             )  # fmt: skip
@@ -201,12 +142,8 @@ class _Features(torch.autograd.Function):
         given = (colors, depths, means2d, means, quats, scales, next_means, next_quats)
         inputs = [tensor.detach().contiguous().numpy() for tensor in given]
         views, Ks = (np.stack(matrices).astype(np.float32) for matrices in zip(*((c.viewmat, c.K) for c in cameras), strict=True))
-        width, height = float(cameras[0].width), float(cameras[0].height)
-        limits = np.array([
-            [(-CLAMP_MARGIN * width - K[0, 2]) / K[0, 0], (width + CLAMP_MARGIN * width - K[0, 2]) / K[0, 0],
-             (-CLAMP_MARGIN * height - K[1, 2]) / K[1, 1], (height + CLAMP_MARGIN * height - K[1, 2]) / K[1, 1]]
-            for K in Ks
-        ], np.float32)  # fmt: skip
+        width, height = cameras[0].width, cameras[0].height
+        limits = np.stack([tangent_limits(K, width, height) for K in Ks])
         lens = views, Ks, limits, np.array([width / 2, height / 2], np.float32)
         drawn = radii.contiguous().numpy()
         features, hidden = torch.empty(len(colors), CHANNELS), np.zeros(1, np.uint8)

@@ -27,6 +27,7 @@ class Exporter:
         is_of_one_time: it shows the scene at one time, and takes ``time``.
         can_flip_axes: it takes ``flip_axes``.
         has_gaussians: it takes ``max_gaussians``; otherwise it has the cameras alone.
+        keeps_slopes: brightness may vary inside its Gaussians; otherwise each has one color, and what is lost is told.
         reader: dotted name of what in flowsplat reads it back.
     """
 
@@ -36,6 +37,7 @@ class Exporter:
     is_of_one_time: bool = False
     can_flip_axes: bool = False
     has_gaussians: bool = True
+    keeps_slopes: bool = False
     reader: str | None = None
 
     @property

@@ -30,5 +30,11 @@ def estimate_bytes(model: SceneModel, scene: Scene, options: ExportOptions) -> i
 
 
 EXPORTERS.add(
-    Entry("html", "Page", "A page that plays the scene in any browser.", Exporter(write, estimate_bytes, "player.html"), place=10)
+    Entry(
+        "html",
+        "Page",
+        "A page that plays the scene in any browser.",
+        Exporter(write, estimate_bytes, "player.html", keeps_slopes=True),
+        place=10,
+    )
 )

@@ -22,5 +22,5 @@ def write(path: Path, model: SceneModel, scene: Scene, options: ExportOptions) -
     write_npz(path, {**arrays, "about": np.array(json.dumps(about_parameters(model)))})
 
 
-NPZ = Exporter(write, estimate_parameters_bytes, "gaussians.npz")
+NPZ = Exporter(write, estimate_parameters_bytes, "gaussians.npz", keeps_slopes=True)
 EXPORTERS.add(Entry("npz", "NumPy", "Every parameter of the 4D scene, as arrays.", NPZ, place=60))

@@ -18,5 +18,5 @@ def write(path: Path, model: SceneModel, scene: Scene, options: ExportOptions) -
     write_tensors(path, parameter_tensors(model), about_parameters(model))
 
 
-SAFETENSORS = Exporter(write, estimate_parameters_bytes, "gaussians.safetensors")
+SAFETENSORS = Exporter(write, estimate_parameters_bytes, "gaussians.safetensors", keeps_slopes=True)
 EXPORTERS.add(Entry("safetensors", "Safetensors", "Every parameter of the 4D scene, as tensors.", SAFETENSORS, place=70))

@@ -15,10 +15,12 @@ class Renderer {
     this.isFloat = !this.isDirect || Boolean(gl.getExtension("EXT_color_buffer_half_float"));
     this.width = Math.min(gl.getParameter(gl.MAX_TEXTURE_SIZE), 4096);
     this.harmonics = (about.shDegree + 1) ** 2;
+    this.slopeTexels = scene.arrays.slopes ? 1 : 0;
+    this.stateSize = 3 + this.harmonics + this.slopeTexels;
     this.gainTexels = Math.ceil(about.gains / 4);
     this.objectTexels = Math.ceil((about.objects.length + 1) / 4);
     const constants = {
-      OBJECT_TEXELS: this.objectTexels, WIDTH: this.width, SLICE_WIDTH, SH_COUNT: this.harmonics, GAIN_TEXELS: this.gainTexels, MEAN_DEGREE: scene.meanDegree,
+      OBJECT_TEXELS: this.objectTexels, WIDTH: this.width, SLICE_WIDTH, SH_COUNT: this.harmonics, STATE_SIZE: this.stateSize, SLOPE_TEXELS: this.slopeTexels, GAIN_TEXELS: this.gainTexels, MEAN_DEGREE: scene.meanDegree,
       QUAT_DEGREE: scene.quatDegree, EPS2D: about.eps2d, FOCAL: about.focal, ALPHA_MIN: about.alphaMin, ALPHA_MAX: about.alphaMax, P_MIN: about.pMin,
       FILLED_FROM: about.filledFrom, FILLED_TO: about.filledTo,
     };
@@ -119,9 +121,9 @@ class Renderer {
 
   stateTexels({ about, arrays, objects }) {
     const count = about.resting + about.moving;
-    const stride = 4 * (3 + this.harmonics);
+    const stride = 4 * this.stateSize;
     const texels = new Float32Array(count * stride);
-    const { means, quats, logScales, opacities, colors, harmonics, logReaches } = arrays;
+    const { means, quats, logScales, opacities, colors, harmonics, slopes, logReaches } = arrays;
     for (let i = 0; i < count; i++) {
       const at = i * stride;
       for (let c = 0; c < 3; c++) {
@@ -136,6 +138,7 @@ class Renderer {
       for (let k = 1; k < this.harmonics; k++) {
         for (let c = 0; c < 3; c++) texels[at + 12 + 4 * k + c] = harmonics.values[i * harmonics.components + 3 * (k - 1) + c];
       }
+      for (let c = 0; slopes && c < 2; c++) texels[at + stride - 4 + c] = slopes.values[2 * i + c];
     }
     return texels;
   }

@@ -1,12 +1,12 @@
 // The slice: one Gaussian at the time, projected (EWA), with its color as seen from the camera.
-// Defined in front of this: OBJECT_TEXELS, WIDTH and SLICE_WIDTH (texels and rows of `order` in a line of a texture), SH_COUNT, GAIN_TEXELS, MEAN_DEGREE, QUAT_DEGREE, EPS2D, FOCAL, ALPHA_MIN, P_MIN.
+// Defined in front of this: OBJECT_TEXELS, WIDTH and SLICE_WIDTH (texels and rows of `order` in a line of a texture), SH_COUNT, STATE_SIZE, SLOPE_TEXELS, GAIN_TEXELS, MEAN_DEGREE, QUAT_DEGREE, EPS2D, FOCAL, ALPHA_MIN, P_MIN.
 precision highp float;
 precision highp int;
 precision highp sampler2D;
 precision highp usampler2D;
 
 uniform usampler2D order;   // rows of the active Gaussians, farthest first
-uniform sampler2D states;   // 3 + SH_COUNT texels a Gaussian: mean and opacity, quaternion, scales and place of the object, color and reach, other harmonics
+uniform sampler2D states;   // STATE_SIZE texels a Gaussian: mean and opacity, quaternion, scales and place of the object, color and reach, other harmonics, slopes
 uniform sampler2D motions;  // 1 + MEAN_DEGREE + QUAT_DEGREE texels a moving one: middle, 1 / half length, center, precision; coefficients
 uniform sampler2D gains;    // GAIN_TEXELS texels a resting one
 uniform int resting;        // how many do not move: the first ones
@@ -50,15 +50,15 @@ vec3 harmonics(int at, vec3 d) {
 }
 
 // The Gaussian in place `rank` of the order.
-// axes: of its ellipse in pixels, one standard deviation long: the long one, the short one
-// place: its center in pixels, how many standard deviations are drawn (0: none), unused
+// axes: of its ellipse in pixels, one standard deviation long: the long one, length of the short one; how much brighter it gets along the long one
+// place: its center in pixels, how many standard deviations are drawn (0: none), how much brighter it gets along the short axis
 // color: rgb and opacity
 void slice(int rank, out vec4 axes, out vec4 place, out vec4 color) {
   axes = vec4(0.0);
   place = vec4(0.0);
   color = vec4(0.0);
   int i = int(texelFetch(order, ivec2(rank % SLICE_WIDTH, rank / SLICE_WIDTH), 0).r);
-  int at = i * (3 + SH_COUNT);
+  int at = i * STATE_SIZE;
   vec4 state = texel(states, at);
   vec4 q = texel(states, at + 1);
   vec4 shape = texel(states, at + 2);
@@ -127,7 +127,13 @@ void slice(int rank, out vec4 axes, out vec4 place, out vec4 color) {
   vec2 axis = a >= c ? vec2(large - c, b) : vec2(b, large - a);
   axis = spread > 1e-6 * middle ? normalize(axis) : vec2(1.0, 0.0);
 
-  axes = vec4(sqrt(large) * axis, sqrt(small) * vec2(-axis.y, axis.x));
-  place = vec4(pixel, sqrt(2.0 * log(opacity / ALPHA_MIN)), 0.0);
+  vec2 slope = vec2(0.0);  // how much brighter it gets a pixel to the right and down
+#if SLOPE_TEXELS > 0
+  vec2 along = texel(states, at + STATE_SIZE - 1).xy;
+  vec2 turned = vec2(dot(across.xy, along), dot(down.xy, along));
+  slope = vec2(c * turned.x - b * turned.y, a * turned.y - b * turned.x) / (large * small);
+#endif
+  axes = vec4(sqrt(large) * axis, sqrt(small), sqrt(large) * dot(slope, axis));
+  place = vec4(pixel, sqrt(2.0 * log(opacity / ALPHA_MIN)), sqrt(small) * dot(slope, vec2(-axis.y, axis.x)));
   color = vec4(gain * harmonics(at + 3, normalize(mean - center)), opacity);
 }

@@ -9,6 +9,7 @@ uniform vec2 size;     // of the image in pixels
 #endif
 out vec2 offset;       // from the center, in standard deviations
 flat out vec4 color;  // rgb and opacity
+flat out vec2 slope;  // how much brighter it gets along its two axes, a standard deviation
 
 void main() {
   int rank = gl_VertexID >> 2;
@@ -22,6 +23,8 @@ void main() {
   color = texelFetch(slicedColors, at, 0);
 #endif
   offset = place.z * (vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0);
-  vec2 pixel = place.xy + offset.x * axes.xy + offset.y * axes.zw;
+  slope = vec2(axes.w, place.w);
+  vec2 across = axes.z * inversesqrt(max(dot(axes.xy, axes.xy), 1e-24)) * vec2(-axes.y, axes.x);
+  vec2 pixel = place.xy + offset.x * axes.xy + offset.y * across;
   gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, 0.0, 1.0);
 }

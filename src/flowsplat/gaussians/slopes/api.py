@@ -1,0 +1,29 @@
+"""Slopes in the image of slopes along the Gaussians' axes; the one place that picks the backend."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from flowsplat.common import devices
+from flowsplat.gaussians.slicing import Slice
+from flowsplat.gaussians.slopes import reference
+from flowsplat.geometry import Camera
+from flowsplat.splatting import Projected
+
+
+def image_slopes(sliced: Slice, projected: Projected, camera: Camera) -> Tensor | None:
+    """Return [A, 2] by how much the Gaussians get brighter a pixel to the right and a pixel down of their centers, differentiable
+    in everything; None where they have no slopes (docs/method.md, "Brightness slopes", ours).
+
+    Args:
+        sliced: the Gaussians.
+        projected: their projection into ``camera``.
+        camera: in the coordinates of the Gaussians.
+    """
+    if sliced.slopes is None:
+        return None
+    if devices.kernels_for(sliced.means) == "cpu" and sliced.covars is None:
+        from flowsplat.gaussians.slopes import cpu
+
+        return cpu.image_slopes(sliced, projected, camera)
+    return reference.image_slopes(sliced, projected, camera)
