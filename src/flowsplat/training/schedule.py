@@ -32,7 +32,7 @@ class LearningRates:
         slowed = limit / r.means if 0 < limit < r.means else 1.0
         rates = {
             "means": slowed * r.means * means, "times": r.times, "logit_opacities": r.opacities * rest, "log_gains": r.gains * rest,
-            "slopes": r.slopes * rest / (r.moving if moving else 1),
+            "slopes": r.slopes * rest / (r.moving if moving else 1),  # of what moves no faster: it gained nothing
         }  # fmt: skip
         groups: dict[RateGroup, float] = {
             "rotation": r.quats * rest, "scale": r.scales * rest, "precision": r.log_lambdas * rest,

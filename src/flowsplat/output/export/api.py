@@ -78,7 +78,10 @@ def _tell_lost_slopes(model: SceneModel, scene: Scene, to: str, options: ExportO
     flat = replace(model, gaussians=model.gaussians.without_slopes())
     error = float(np.mean((model.render(camera, seconds).color - flat.render(camera, seconds).color) ** 2))
     same = f"{-10 * np.log10(error):.1f} dB between images with and without it" if error > 0 else "which changes no image here"
-    report(f"{to} has one color for each Gaussian: how brightness varies inside is left out ({same}).")
+    report(
+        f"{to} has one color for each Gaussian: how brightness varies inside is left out ({same}). "
+        "Of a scene that was trained with --train.model.no-slopes it shows all."
+    )
 
 
 def _readable(size: float) -> str:
