@@ -42,6 +42,11 @@ class RunPaths:
         return self.path / "model_all_frames"
 
     @property
+    def one_color_path(self) -> Path:
+        """The model that is shown, fitted without slopes of brightness: what formats with one color a Gaussian get."""
+        return self.path / "model_one_color"
+
+    @property
     def static_path(self) -> Path:
         """The static scene that the result is compared with, and its training."""
         return self.path / "static"

@@ -3,6 +3,6 @@
 from flowsplat.pipeline.config import RunConfig, preset
 from flowsplat.pipeline.fitting import train
 from flowsplat.pipeline.preparing import prepare
-from flowsplat.pipeline.stages import evaluate_run, load, render_run, run
+from flowsplat.pipeline.stages import evaluate_run, load, one_color_of, render_run, run
 
-__all__ = ["RunConfig", "evaluate_run", "load", "prepare", "preset", "render_run", "run", "train"]
+__all__ = ["RunConfig", "evaluate_run", "load", "one_color_of", "prepare", "preset", "render_run", "run", "train"]

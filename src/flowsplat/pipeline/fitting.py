@@ -33,6 +33,7 @@ from flowsplat.scenes.layers import Layers, write_image
 from flowsplat.training.checkpoint import has_model, load_model, save_model
 from flowsplat.training.config import TrainConfig, select_result_settings
 from flowsplat.training.final import final_config, final_visits, with_heldout
+from flowsplat.training.one_color import one_color_config
 from flowsplat.training.scene_model import scene_model
 from flowsplat.training.static import static_config, static_start
 from flowsplat.training.trainer import Trainer
@@ -71,8 +72,8 @@ def _train(folder: RunFolder) -> SceneModel:
         if folder.model_path.exists() or folder.training_path.exists():
             report("The settings of training, or the scene, are others than before: it begins anew.")
         forget_videos(folder.renders_path)
-    owns = folder.training_path, folder.logs_path, folder.all_frames_path, folder.model_path
-    with folder.stage("train", key, owns, drops=("all_frames",), made=has_model(folder.model_path)) as stage:
+    owns = folder.training_path, folder.logs_path, folder.all_frames_path, folder.one_color_path, folder.model_path
+    with folder.stage("train", key, owns, drops=("all_frames", "one_color"), made=has_model(folder.model_path)) as stage:
         if stage.is_done:
             return load_model(folder.model_path).to(pick_device(folder.config.device))
         return _train_in(folder, stage, "train", folder.config.train, folder.training_path, folder.model_path)
@@ -199,10 +200,9 @@ def _fit_heldout(folder: RunFolder, stage: Stage) -> None:
     report(f"Fitting the {len(scene.heldout_frames)} held-out frames, too, for what is shown: they are measured already.")
 
     def observe(scene: Scene) -> Observations:
-        layers = Layers(folder.all_frames_path / "priors", scene.width, scene.height)
         if config.train.loss.flow > 0:
-            heldout_flow(scene, layers, flow_estimator(config.priors, config.device))
-        return with_heldout(load_observations(scene), scene, layers)
+            heldout_flow(scene, _heldout_layers(folder, scene), flow_estimator(config.priors, config.device))
+        return _observe_all(folder, scene)
 
     def begin(observations: Observations, tracks: Tracks | None, train: TrainConfig) -> Gaussians4D:
         return load_model(folder.model_path).gaussians
@@ -212,3 +212,43 @@ def _fit_heldout(folder: RunFolder, stage: Stage) -> None:
         folder, stage, "all_frames", settings, folder.all_frames_path, folder.all_frames_path, begin, observe, first_step,
         final_visits(scene),
     )  # fmt: skip
+
+
+def _heldout_layers(folder: RunFolder, scene: Scene) -> Layers:
+    return Layers(folder.all_frames_path / "priors", scene.width, scene.height)
+
+
+def _observe_all(folder: RunFolder, scene: Scene) -> Observations:
+    return with_heldout(load_observations(scene), scene, _heldout_layers(folder, scene))
+
+
+# -- formats with one color a Gaussian
+
+
+def one_color_model(folder: RunFolder) -> SceneModel:
+    """Return the model that is shown, fitted without slopes of brightness; made where it is not there yet.
+
+    Raises:
+        InputError: there is no trained scene with the settings of the run, or as ``lease``.
+    """
+    with lease(folder.path):
+        is_final = has_model(folder.all_frames_path) and wants_final(folder) and folder.is_finished("all_frames", final_key(folder))
+        if not folder.is_finished("train", train_key(folder)):
+            raise InputError(f"{folder.path} holds no scene that was trained with its settings: run flowsplat train on it first.")
+        key = stage_key(final_key(folder) if is_final else train_key(folder), "one_color")
+        path = folder.one_color_path
+        with folder.stage("one_color", key, (path,), made=has_model(path)) as stage:
+            if stage.is_done:
+                return load_model(path)
+            report("Fitting the scene to one color for each Gaussian, as the format has it. It is kept for the next time.")
+
+            def begin(observations: Observations, tracks: Tracks | None, train: TrainConfig) -> Gaussians4D:
+                return load_model(folder.all_frames_path if is_final else folder.model_path).gaussians.without_slopes()
+
+            def observe(scene: Scene) -> Observations:
+                return _observe_all(folder, scene) if is_final else load_observations(scene)
+
+            settings, first_step = one_color_config(folder.config.train)
+            model = _train_in(folder, stage, "one_color", settings, path, path, begin, observe, first_step)
+        folder.save()
+        return model.to("cpu")

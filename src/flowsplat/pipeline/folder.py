@@ -7,6 +7,7 @@ priors.html       cameras, depth, masks, flow and tracks to look at, with a verd
 training/         checkpoints (while training), history.json
 model/            the trained 4D scene: what is measured
 model_all_frames/ the same scene fitted to the held-out frames, too, with the priors of those: what videos and exports show
+model_one_color/  what is shown, fitted to one color a Gaussian: for formats that hold no more
 static/           our own static scene to compare with (--baselines all)
 logs/             TensorBoard
 preview.png       a training view beside its target, refreshed while training

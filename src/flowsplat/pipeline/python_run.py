@@ -141,7 +141,7 @@ def export(
     """
     run = source if isinstance(source, Run) else Run(source)
     options = ExportOptions(time=time, flip_axes=flip_axes, max_gaussians=max_gaussians)
-    return export_scene(run.model, run.scene, to, out, options)
+    return export_scene(run.model, run.scene, to, out, options, stages.one_color_of(run.folder))
 
 
 def make_config(name: str, overrides: Mapping[str, Any]) -> RunConfig:

@@ -121,7 +121,8 @@ def stages_of(seconds: Mapping[str, float]) -> dict[str, float]:
     for name, value in seconds.items():
         if name == "coarse":  # as long in every run
             continue
-        stage = name if name in STAGES else "rest" if name in ("static", "evaluate", "all_frames", "render") else "priors"
+        rest = ("static", "evaluate", "all_frames", "one_color", "render")
+        stage = name if name in STAGES else "rest" if name in rest else "priors"
         found[stage] = found.get(stage, 0.0) + value
     return found
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -27,7 +27,7 @@ from flowsplat.output.videos import RenderOptions, are_rendered, name_of, render
 from flowsplat.pipeline.coarse import coarse_scene, is_worth_it
 from flowsplat.pipeline.compiling import compile_ahead
 from flowsplat.pipeline.config import RunConfig
-from flowsplat.pipeline.fitting import HISTORY, final_key, fit_heldout, static_model, train, train_key, wants_final
+from flowsplat.pipeline.fitting import HISTORY, final_key, fit_heldout, one_color_model, static_model, train, train_key, wants_final
 from flowsplat.pipeline.folder import MetricsFile, RunFolder, stage_key
 from flowsplat.pipeline.preparing import prepare_folder
 from flowsplat.pipeline.speed import Speed, Watch, estimate_seconds, estimate_seconds_of_clip
@@ -112,6 +112,12 @@ def load(path: Path | str, device: str = "cpu") -> SceneModel:
         raise InputError(f"{path} holds no trained scene yet: run flowsplat train on it first.")
     model = load_model(path).to(pick_device(device))
     return replace(model, viewpoint=_middle_of(run if run.record_path.exists() else RunPaths(path.parent)))
+
+
+def one_color_of(path: Path) -> Callable[[], SceneModel] | None:
+    """Return what makes the model of a run for formats with one color a Gaussian (``fitting.one_color_model``); None where the
+    folder is none of a run."""
+    return (lambda: one_color_model(RunFolder(path))) if RunPaths(path).record_path.exists() else None
 
 
 def _middle_of(run: RunPaths) -> tuple[Camera, float] | None:

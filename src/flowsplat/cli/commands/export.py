@@ -35,7 +35,8 @@ def build(defaults: RunConfig) -> Callable[..., None]:
         from flowsplat.output.export import export_scene
         from flowsplat.scenes import Scene
 
-        report(f"Written: {export_scene(pipeline.load(out), Scene(out / 'scene'), to, path, options)}")
+        one_color = pipeline.one_color_of(out)
+        report(f"Written: {export_scene(pipeline.load(out), Scene(out / 'scene'), to, path, options, one_color)}")
 
     assert export.__doc__ is not None
     export.__doc__ = export.__doc__.replace("FORMATS", " ".join(map(_describe, EXPORTERS.entries())))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,14 @@ from flowsplat.output.export.still import middle_or
 from flowsplat.scenes import Scene
 
 
-def export_scene(model: SceneModel, scene: Scene, to: str, path: str | Path | None, options: ExportOptions) -> Path:
+def export_scene(
+    model: SceneModel,
+    scene: Scene,
+    to: str,
+    path: str | Path | None,
+    options: ExportOptions,
+    one_color: Callable[[], SceneModel] | None = None,
+) -> Path:
     """Write a trained scene in a format of others, or as the single-file player.
 
     Args:
@@ -27,6 +35,8 @@ def export_scene(model: SceneModel, scene: Scene, to: str, path: str | Path | No
         to: one of the formats (docs/formats.md).
         path: the file or folder to write; None = beside the scene, in ``export/``.
         options: what and how.
+        one_color: gives the scene as it was fitted without slopes of brightness, for formats that hold none; None, or where it
+            raises an ``InputError``: they are left out.
 
     Returns:
         what was written: a file or a folder.
@@ -42,13 +52,13 @@ def export_scene(model: SceneModel, scene: Scene, to: str, path: str | Path | No
     if path.is_file() and exporter.is_folder:
         raise InputError(f"{path} is a file, {to} needs a folder: give another one with -o.")
     make_folder(path if exporter.is_folder else path.parent)
+    if exporter.has_gaussians and not exporter.keeps_slopes and model.gaussians.config.slopes:
+        model = _without_slopes(model, scene, to, options, one_color)
     if options.max_gaussians is not None and exporter.has_gaussians:
         views = [(scene.cameras[i], float(scene.timestamps[i])) for i in scene.train_frames]
         model = choose_most_important(model, views, options.max_gaussians)
     what = f"{len(model.gaussians):,} Gaussians" if exporter.has_gaussians else f"{scene.num_frames} cameras"
     report(f"{what} as {to}: about {_readable(exporter.estimate_bytes(model, scene, options))} in {path}")
-    if exporter.has_gaussians and not exporter.keeps_slopes and model.gaussians.config.slopes:
-        _tell_lost_slopes(model, scene, to, options)
     exporter.write(path, model, scene, options)
     if not path.exists():
         raise InputError(f"Nothing was written: format {to} made no {path}.")
@@ -72,16 +82,24 @@ def _check(model: SceneModel, to: str, options: ExportOptions) -> None:
         raise InputError("The scene has no Gaussians: there is nothing to export.")
 
 
-def _tell_lost_slopes(model: SceneModel, scene: Scene, to: str, options: ExportOptions) -> None:
+def _without_slopes(
+    model: SceneModel, scene: Scene, to: str, options: ExportOptions, one_color: Callable[[], SceneModel] | None
+) -> SceneModel:
+    if one_color is not None:
+        try:
+            return one_color()
+        except InputError as error:
+            report(f"The scene cannot be fitted to what {to} holds: {error}")
     seconds = middle_or(model, options.time)
     camera = scene.cameras[int(np.abs(scene.timestamps - seconds).argmin())]
     flat = replace(model, gaussians=model.gaussians.without_slopes())
-    error = float(np.mean((model.render(camera, seconds).color - flat.render(camera, seconds).color) ** 2))
-    same = f"{-10 * np.log10(error):.1f} dB between images with and without it" if error > 0 else "which changes no image here"
+    change = float(np.mean((model.render(camera, seconds).color - flat.render(camera, seconds).color) ** 2))
+    same = f"{-10 * np.log10(change):.1f} dB between images with and without it" if change > 0 else "which changes no image here"
     report(
         f"{to} has one color for each Gaussian: how brightness varies inside is left out ({same}). "
         "Of a scene that was trained with --train.model.no-slopes it shows all."
     )
+    return flat
 
 
 def _readable(size: float) -> str:
