@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from flowsplat.gaussians.density import DensityStatistics, densify
 from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
 from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.render import render, render_active
@@ -16,6 +17,7 @@ from flowsplat.gaussians.slopes import cpu, image_slopes, reference
 from flowsplat.geometry import Camera
 from flowsplat.geometry.rotations import quats_to_rotations
 from flowsplat.splatting import blend, project
+from flowsplat.splatting.rules import C0
 
 WIDTH, HEIGHT = 80, 64
 CAMERA = Camera(np.eye(4), np.array([[60.0, 0, 40], [0, 62, 32], [0, 0, 1]]), WIDTH, HEIGHT)
@@ -184,3 +186,22 @@ def test_triton_draws_what_the_cpu_draws():
     assert float(differs.float().mean()) < 2e-3, "but where a Gaussian ends, which rounding decides"
     for name, gradient in expected[2].items():
         assert_alike(found[2][name].cpu(), gradient.double(), 1e-2)
+
+
+def test_children_of_a_split_are_as_bright_as_their_parent_was_there():
+    model = small_model(True).select(torch.arange(20))  # at rest
+    statistics = DensityStatistics.zeros(20)
+    statistics.visits[:], statistics.gradient[5] = 1, 1.0
+    result = densify(model, statistics, 0.5, 0.0, 100, torch.Generator().manual_seed(0))
+    children, parent = (
+        result.gaussians.select(torch.nonzero(result.is_new).squeeze(1)).params,
+        model.select(torch.tensor([5])).params,
+    )
+    assert len(children["means"]) == 2
+    R, scales = quats_to_rotations(parent["quats"])[0], torch.exp(parent["log_scales"])
+    u = (children["means"] - parent["means"]) @ R / scales
+    brighter = (u[:, :2] * parent["slopes"]).sum(1, keepdim=True)
+    assert float(brighter.abs().min()) > 1e-3
+    torch.testing.assert_close(C0 * children["sh"][:, 0], C0 * parent["sh"][:, 0] + brighter, rtol=0, atol=1e-5)
+    in_space = [values["slopes"] / torch.exp(values["log_scales"][:, :2]) for values in (children, parent)]
+    torch.testing.assert_close(in_space[0], in_space[1].expand(2, 2))

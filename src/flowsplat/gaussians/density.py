@@ -13,6 +13,10 @@ from torch import Tensor
 from flowsplat.gaussians.gaussians4d import Gaussians4D, concatenate
 from flowsplat.gaussians.motion import Shape
 from flowsplat.geometry.rotations import quats_to_rotations
+from flowsplat.splatting.rules import C0
+
+SPLIT_SHRINKING = 1.6
+"""How many times smaller the children of a split are, as in 3D Gaussian splatting."""
 
 
 @dataclass
@@ -70,7 +74,7 @@ def densify(
     """Clone small Gaussians and split large ones where the mean gradient exceeds ``threshold``, as 3DGS does.
 
     Children inherit everything. A split samples two children from the Gaussian, in space and (where it fades within the clip)
-    in time, re-expands their motion about the new center time and shrinks them by 1.6.
+    in time, re-expands their motion about the new center time and shrinks them by ``SPLIT_SHRINKING``.
     """
     count = len(gaussians)
     keep = torch.ones(count, dtype=torch.bool, device=gaussians.device)
@@ -101,8 +105,12 @@ def _split(parents: Gaussians4D, generator: torch.Generator) -> Gaussians4D:
     params = parents.motion.recenter(params, shift)
     noise = torch.randn(count, 3, generator=generator).to(device)
     offset = _draw_points(parents.motion.at_rest(params), noise)
-    params = parents.motion.shrunk(params, math.log(1.6), in_time)
+    params = parents.motion.shrunk(params, math.log(SPLIT_SHRINKING), in_time)
     params["means"] = params["means"] + offset
+    if "slopes" in params:  # a child is as bright as its parent was there
+        brighter = (params["slopes"] * noise[:, :2]).sum(1, keepdim=True)
+        params["sh"] = torch.cat([params["sh"][:, :1] + (brighter / C0)[:, None], params["sh"][:, 1:]], 1)
+        params["slopes"] = params["slopes"] / SPLIT_SHRINKING
     return Gaussians4D(params, parents.dynamic, parents.config, parents.sh_degree, parents.object_ids)
 
 
