@@ -122,7 +122,7 @@ class FixedRenderer:
         else:
             features = torch.cat([colors, projected.depths[:, None]], 1)
         slopes = None
-        if "slopes" in p:
+        if g.has_slopes:
             slopes = project_slopes(p["slopes"][rows], projected, means, quats, scales, viewmat, K - self._inside, width, height)
         with self._pairs.fix():
             image, alpha = blend(projected, opacities, features, width, height, slopes=slopes)

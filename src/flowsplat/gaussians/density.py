@@ -107,7 +107,7 @@ def _split(parents: Gaussians4D, generator: torch.Generator) -> Gaussians4D:
     offset = _draw_points(parents.motion.at_rest(params), noise)
     params = parents.motion.shrunk(params, math.log(SPLIT_SHRINKING), in_time)
     params["means"] = params["means"] + offset
-    if "slopes" in params:  # a child is as bright as its parent was there
+    if parents.has_slopes:  # a child is as bright as its parent was there
         brighter = (params["slopes"] * noise[:, :2]).sum(1, keepdim=True)
         params["sh"] = torch.cat([params["sh"][:, :1] + (brighter / C0)[:, None], params["sh"][:, 1:]], 1)
         params["slopes"] = params["slopes"] / SPLIT_SHRINKING

@@ -217,6 +217,11 @@ class Gaussians4D:
             params, self.dynamic.to(device), self.config, self.sh_degree, self.object_ids.to(device), seen, shadow_free
         )
 
+    @property
+    def has_slopes(self) -> bool:
+        """Whether brightness varies inside them: it was asked for, and their motion model has axes of their own."""
+        return "slopes" in self.params
+
     def without_slopes(self) -> Gaussians4D:
         """Return the same Gaussians, each of one color."""
         params = {name: value for name, value in self.params.items() if name != "slopes"}

@@ -119,10 +119,9 @@ def stages_of(seconds: Mapping[str, float]) -> dict[str, float]:
     """Return what a run took, from its seconds by part to those of ``STAGES``; of those that it went through."""
     found: dict[str, float] = {}
     for name, value in seconds.items():
-        if name == "coarse":  # as long in every run
+        if name in ("coarse", "one_color"):  # as long in every run; made for an export
             continue
-        rest = ("static", "evaluate", "all_frames", "one_color", "render")
-        stage = name if name in STAGES else "rest" if name in rest else "priors"
+        stage = name if name in STAGES else "rest" if name in ("static", "evaluate", "all_frames", "render") else "priors"
         found[stage] = found.get(stage, 0.0) + value
     return found
 

@@ -14,14 +14,15 @@ from flowsplat.training.config import TrainConfig
 
 STEPS_A_HELDOUT_FRAME = 20
 """Steps of the final fit for each held-out frame, no more than ``MAX_FINAL_FIT_SHARE`` of those of the training: then no held-out
-frame of bear, train and camel stays behind (docs/method.md, "The final fit")."""
+frame stays behind by more than .3 dB, of bear and camel, on which it was chosen, and of train (docs/results.md, "How long the final
+fit is")."""
 MAX_FINAL_FIT_SHARE = 0.25
 """Of the steps of the training, those of the final fit at most. Chosen by eye."""
 FIRST_RATES = 0.8
 """Where in their fall from the beginning to the end of a training the rates of the final fit begin (docs/method.md, "The final
 fit")."""
 AVERAGED_SHARE = 0.5
-"""Of the steps of the final fit, the share over which its result is the mean, where training has such a mean
+"""Of the steps with which a trained scene goes on, the share over which the result is the mean, where training has such a mean
 (docs/method.md, "Training")."""
 NEIGHBOR_VISITS = 2
 """How often a training frame beside a held-out one is drawn where others are drawn once: what is fitted to a frame is seen in the
@@ -34,13 +35,17 @@ def count_final_steps(iterations: int, heldout: int) -> int:
 
 
 def final_config(config: TrainConfig, heldout: int) -> tuple[TrainConfig, int]:
-    """Return the settings of the final fit for ``heldout`` frames, and the step that it begins with.
+    """Return the settings of the final fit for ``heldout`` frames, and the step that it begins with."""
+    return continuation_config(config, count_final_steps(config.iterations, heldout), FIRST_RATES)
 
-    It is the end of a training that is as much longer as puts the first rates where ``FIRST_RATES`` says. Gaussians are neither
-    added nor removed, and none begins to move or comes to rest.
+
+def continuation_config(config: TrainConfig, steps: int, first_rates: float) -> tuple[TrainConfig, int]:
+    """Return the settings with which a trained scene goes on for ``steps``, and the step that it begins with.
+
+    It is the end of a training that is so long that rates begin ``first_rates`` of the way down. Gaussians are neither added nor
+    removed, and none begins to move or comes to rest.
     """
-    steps = count_final_steps(config.iterations, heldout)
-    iterations = round(steps / (1 - FIRST_RATES))
+    iterations = round(steps / (1 - first_rates))
     settings = replace(
         config,
         iterations=iterations,

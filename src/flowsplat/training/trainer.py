@@ -131,7 +131,7 @@ class Trainer:
         """
         self.begin()
         state, config = self.state, self.config
-        label = "Final fit" if self._first_step else "Training"
+        label = "Fitting" if self._first_step else "Training"
         with progress_bar(label, config.iterations, state.step) as bar, stop_requests() as request, keep_freed_memory():
             while state.step < config.iterations:
                 output, figures = self.iterate()

@@ -95,7 +95,7 @@ def slice_gaussians(
             missing then); None = the slice is not differentiable.
     """
     sliced = _twin(gaussians.sliced_by).slice_gaussians(gaussians, active, camera_center, next_time, gradients)
-    if "slopes" not in gaussians.params:
+    if not gaussians.has_slopes:
         return sliced
     slopes = gaussians.params["slopes"][active.rows]
     if gradients is not None:

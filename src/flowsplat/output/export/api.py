@@ -52,7 +52,7 @@ def export_scene(
     if path.is_file() and exporter.is_folder:
         raise InputError(f"{path} is a file, {to} needs a folder: give another one with -o.")
     make_folder(path if exporter.is_folder else path.parent)
-    if exporter.has_gaussians and not exporter.keeps_slopes and model.gaussians.config.slopes:
+    if exporter.has_gaussians and not exporter.keeps_slopes and model.gaussians.has_slopes:
         model = _without_slopes(model, scene, to, options, one_color)
     if options.max_gaussians is not None and exporter.has_gaussians:
         views = [(scene.cameras[i], float(scene.timestamps[i])) for i in scene.train_frames]

@@ -93,7 +93,7 @@ def estimate_bytes(gaussians: Gaussians4D) -> int:
     resting = int((gaussians.at_rest & seen).sum())
     moving = int(seen.sum()) - resting
     harmonics = 3 * (harmonics_count(gaussians.sh_degree) - 1)
-    common = 11.5 + 0.75 * harmonics + 1.5 * gaussians.config.slopes
+    common = 11.5 + 0.75 * harmonics + 1.5 * gaussians.has_slopes
     return round(4 / 3 * (resting * (common + 0.8 * gaussians.config.gains) + moving * (common + 9.5)))
 
 
@@ -123,7 +123,7 @@ def _arrays(gaussians: Gaussians4D, resting: int, resolution: np.ndarray) -> lis
     ]
     if degree:
         arrays.append(quantize_to_range("harmonics", sh[:, 1:].reshape(len(sh), -1), 8))
-    if "slopes" in params:
+    if gaussians.has_slopes:
         arrays.append(quantize_to_range("slopes", params["slopes"].numpy(), 8))
     if gaussians.config.gains:
         arrays.append(quantize_to_range("gains", params["log_gains"][:resting].numpy(), 8))
