@@ -29,7 +29,7 @@ class Report:
         title: of both.
         verdict: the result in a sentence; it stands on top of the page.
         remarks: what has to be known of the tables.
-        tables: in order; the chart of one is a file of its own, too.
+        tables: in order; each chart of one is a file of its own, too.
         scenes: what became of each, under the tables of the page (``scene_section``).
         template: of the page, in ``templates``.
         verdict_is_remark: whether the Markdown has the verdict, as its first remark.
@@ -51,8 +51,8 @@ class Report:
             InputError: the folder cannot be written.
         """
         for each in self.tables:
-            if each.chart is not None:
-                write_text(out / each.chart.file, svg_file(each.chart.drawing))
+            for chart in each.charts:
+                write_text(out / chart.file, svg_file(chart.drawing))
         remarks = [self.verdict, *self.remarks] if self.verdict_is_remark else self.remarks
         write_text(out / f"{self.name}.md", format_page(self.title, remarks, self.tables))
         page = out / f"{self.name}.html"
@@ -75,7 +75,7 @@ def write_benchmark_page(page: Path, template: str, **values: Any) -> None:
 def _on_page(each: Table) -> dict[str, Any]:
     rows = [[plain(cell) for cell in row] for row in (each.header, *each.rows)]
     return {
-        "title": each.title, "note": each.note, "chart": each.chart and each.chart.drawing,
+        "title": each.title, "note": each.note, "charts": [chart.drawing for chart in each.charts],
         "table": table(rows[0], rows[1:], each.strong),
     }  # fmt: skip
 

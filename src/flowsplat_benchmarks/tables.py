@@ -30,14 +30,14 @@ class Chart:
 
 @dataclass(frozen=True)
 class Table:
-    """A title, a note below it, a header, rows of texts in Markdown, the indices of the rows that stand out, and a drawing."""
+    """A title, a note below it, a header, rows of texts in Markdown, the indices of the rows that stand out, and drawings."""
 
     title: str
     note: str
     header: tuple[str, ...]
     rows: list[tuple[str, ...]]
     strong: tuple[int, ...] = ()
-    chart: Chart | None = None
+    charts: tuple[Chart, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -121,10 +121,10 @@ def plain(cell: str) -> str:
 
 
 def format_page(title: str, remarks: Sequence[str], found: Sequence[Table]) -> str:
-    """Return a page with all tables; the chart of one stands under it, by the name of its file."""
+    """Return a page with all tables; the charts of one stand under it, by the names of their files."""
     lines = [f"# {title}", "", *(f"- {remark}" for remark in remarks)]
     for each in found:
         lines += ["", f"## {each.title}", "", *format_table(each.header, each.rows, each.strong), "", each.note]
-        if each.chart is not None:
-            lines += ["", f"![{each.title}]({each.chart.file})"]
+        for chart in each.charts:
+            lines += ["", f"![{each.title}]({chart.file})"]
     return "\n".join(lines) + "\n"

@@ -16,7 +16,7 @@ def test_a_report_is_markdown_and_a_page(tmp_path):
         ("scene", "PSNR"),
         [("bear, *tuned*", "31.2")],
         (0,),
-        Chart("first.svg", Markup('<svg class="chart"></svg>')),
+        (Chart("first.svg", Markup('<svg class="chart"></svg>')),),
     )
     (tmp_path / "bear").mkdir()
     (tmp_path / "bear" / "report.html").touch()

@@ -17,7 +17,7 @@ def test_texts():
 
 
 def test_markdown():
-    chart = Chart("first.svg", Markup("<svg></svg>"))
+    chart = (Chart("first.svg", Markup("<svg></svg>")),)
     table = Table("First", "A note.", ("method", "PSNR"), [("ours", "31.2"), ("copy", "20.1")], (0,), chart)
     page = format_page("Title", ["a remark"], [table, Table("Second", "", ("x",), [])])
     assert page.startswith("# Title\n\n- a remark\n\n## First\n")

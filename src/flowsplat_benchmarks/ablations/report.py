@@ -111,7 +111,7 @@ def _table(group: Group, results: Sequence[Result]) -> Table | None:
         x_label="difference in PSNR, dB",
         spreads={found.claim.variant.label: found.psnr.spread for found in judged if found.psnr.spread is not None},
     )
-    return Table(TITLES[group], note, header, rows, (0,), Chart(f"ablations_{group}.svg", chart))
+    return Table(TITLES[group], note, header, rows, (0,), (Chart(f"ablations_{group}.svg", chart),))
 
 
 def _base_row(base: Variant, scenes: Mapping[str, str], results: Sequence[Result]) -> tuple[str, ...]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import statistics
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,10 +16,13 @@ import numpy as np
 from flowsplat.common.devices import pick_device
 from flowsplat.common.memory import peak_memory
 from flowsplat.common.source import source_state
+from flowsplat.common.spread import spread
 from flowsplat.evaluation.evaluate import evaluate
 from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.observations import load_observations
+from flowsplat.output.export import export_scene
+from flowsplat.output.export.options import ExportOptions
 from flowsplat.pipeline.folder import stage_key
 from flowsplat.scenes import Scene
 from flowsplat.training.config import TrainConfig
@@ -30,6 +35,9 @@ from flowsplat_benchmarks.ablations.variants import Variant
 from flowsplat_benchmarks.ablations.verdicts import Run
 from flowsplat_benchmarks.resume import Measurement
 from flowsplat_benchmarks.tables import Result
+
+TIMED_IMAGES = 24
+"""Views of the clip, evenly over it, whose images are timed; fewer would let one that waited for the processor count."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +88,9 @@ def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
         ``protocol``, ``scene``, ``size``, ``tuned``, ``variant``, ``settings``, ``seed``, ``iterations``, ``cap``, ``flowsplat``
         (``source_state``), ``test`` (``kind``, ``count``), ``psnr``, ``ssim``, ``lpips`` and ``moving`` (PSNR) of the held-out
         images with strict cameras, ``training_psnr``, ``flow_epe`` and ``flow_prior_epe`` (mean, pixels), ``gaussians``
-        (``total``, ``active_mean``), ``seconds`` (``train`` by the clock, ``train_cpu`` of all cores, ``evaluate``) and
-        ``peak_memory_gib``.
+        (``total``, ``active_mean``), ``page_bytes`` (of ``export --to html``) and ``image_seconds`` (by the clock, the median of
+        the clip's own views), both None of what is no scene, ``seconds`` (``train`` by the clock, ``train_cpu`` of all cores,
+        ``evaluate``) and ``peak_memory_gib``.
     """
     scene = Scene(path)
     started, processor = time.perf_counter(), time.process_time()
@@ -90,6 +99,7 @@ def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
     metrics = evaluate(model, scene, baselines=False)
     kind = "views" if scene.views else "frames"
     tested = metrics[f"heldout_{kind}"]
+    evaluated = time.perf_counter()
     counts = [model.active_count(float(t)) for t in scene.timestamps]
     return {
         "protocol": run.protocol, "scene": run.scene.case.scene, "size": [scene.width, scene.height],
@@ -100,11 +110,24 @@ def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
         "training_psnr": pick(metrics, "training_frames", "psnr"),
         **{name: pick(metrics, name, "mean") for name in ("flow_epe", "flow_prior_epe")},
         "gaussians": {"total": total, "active_mean": float(np.mean(counts))},
+        **(_size_and_speed(model, scene) if isinstance(model, SceneModel) else {"page_bytes": None, "image_seconds": None}),
         "seconds": {
-            "train": round(trained - started, 2), "train_cpu": round(used, 2), "evaluate": round(time.perf_counter() - trained, 2),
+            "train": round(trained - started, 2), "train_cpu": round(used, 2), "evaluate": round(evaluated - trained, 2),
         },
         "peak_memory_gib": peak_memory(),
     }  # fmt: skip
+
+
+def _size_and_speed(model: SceneModel, scene: Scene) -> dict[str, float]:
+    with tempfile.TemporaryDirectory() as folder:
+        page = export_scene(model, scene, "html", Path(folder) / "page.html", ExportOptions())
+        size = page.stat().st_size
+    seconds = []
+    for i in spread(scene.num_frames, TIMED_IMAGES):
+        began = time.perf_counter()
+        model.render(scene.cameras[i], float(scene.timestamps[i]))
+        seconds.append(time.perf_counter() - began)
+    return {"page_bytes": size, "image_seconds": statistics.median(seconds)}
 
 
 def _train(run: TrainingRun, scene: Scene) -> tuple[SceneModel | PerFrameModel, int]:

@@ -7,6 +7,7 @@ import xml.etree.ElementTree as ElementTree
 import pytest
 
 from flowsplat.images.html import NOTHING
+from flowsplat.training.config import PRESETS
 from flowsplat_benchmarks.ablations import caps, report
 from flowsplat_benchmarks.ablations.claims import CLAIMS
 from flowsplat_benchmarks.tables import describe_version
@@ -19,7 +20,7 @@ def result(variant: str, psnr: float, scene: str = "bear", seed: int = 0, **chan
         "psnr": psnr, "ssim": 0.9,
         "lpips": None, "moving": psnr - 2, "training_psnr": psnr + 2, "flow_epe": None, "flow_prior_epe": 0.2,
         "gaussians": {"total": 200_000, "active_mean": 90_000.0}, "seconds": {"train": 61.0, "train_cpu": 110.0, "evaluate": 5.0},
-        "peak_memory_gib": 1.5,
+        "peak_memory_gib": 1.5, "page_bytes": 9_000_000, "image_seconds": 0.04,
     }  # fmt: skip
     return {**value, **changes}
 
@@ -79,22 +80,32 @@ def test_without_results_the_page_is_empty(tmp_path, write):
 
 
 def test_caps(tmp_path):
-    found = []
+    found, free = [], PRESETS["default"].density.max_gaussians
     for scene in ("bear", "train"):
-        for cap, psnr in ((50_000, 28.0), (200_000, 30.0), (400_000, 31.0)):
-            more = {"protocol": "caps", "cap": cap, "gaussians": {"total": cap - 9, "active_mean": 0.5 * cap}}
-            found.append(result(f"cap{cap}-steps1500", psnr, scene, **more))
+        for cap, psnr in ((free, 31.0), (50_000, 28.0), (200_000, 30.0)):
+            count = min(cap, 300_009)
+            more = {
+                "protocol": "caps",
+                "cap": cap,
+                "gaussians": {"total": count - 9, "active_mean": 0.5 * count},
+                "iterations": 2000,
+            }
+            found.append(result(f"cap{cap}-steps2000", psnr, scene, **more, page_bytes=30 * count))
         found.append(result("cap200000-steps250", 27.0, scene, protocol="caps", cap=200_000, iterations=250))
     caps.write_report(tmp_path, found, {})
     text = (tmp_path / "caps.md").read_text()
     assert "| bear, tuned | 50,000 | 28.00 | 26.00 |" in text
+    assert "| bear, tuned | free | 31.00 | 29.00 |" in text
+    assert text.index("| bear, tuned | 200,000 |") < text.index("| bear, tuned | free |")
     assert "| train, tuned | 250 | 27.00 |" in text
-    assert text.count("| bear, tuned | 1,500 |") == 1
+    assert text.count("| bear, tuned | 2,000 |") == 1
     assert "49,991" in text
-    for name in ("cap", "iterations"):
+    assert "| 1.50 | 40.0 |" in text, "megabytes of the page, and milliseconds an image"
+    for name in (*caps.COSTS, "steps"):
         drawing = (tmp_path / f"caps_{name}.svg").read_text()
         assert drawing.count('<path class="line"') == 2
-        assert drawing.count("<circle") == (6 if name == "cap" else 4)
+        assert drawing.count("<circle") == (4 if name == "steps" else 6)
+        assert text.count(f"](caps_{name}.svg)") == 1
 
 
 def test_what_is_left_out_is_told(tmp_path):
@@ -111,9 +122,9 @@ def test_one_run_tells_nothing(tmp_path):
 
 
 def test_many_scenes_are_not_all_in_the_image(tmp_path):
-    found = [result("x", 30.0, scene, cap=cap) for scene in "abcdefg" for cap in (50_000, 200_000)]
+    found = [result("x", 30.0, scene, cap=cap, iterations=2000) for scene in "abcdefg" for cap in (50_000, 200_000)]
     caps.write_report(tmp_path, found, {})
-    assert (tmp_path / "caps_cap.svg").read_text().count('<path class="line"') == 5
+    assert (tmp_path / "caps_gaussians.svg").read_text().count('<path class="line"') == 5
     text = (tmp_path / "caps.md").read_text()
     assert "The image shows 5 of 7 scenes." in text
     assert "| g, tuned | 50,000 |" in text

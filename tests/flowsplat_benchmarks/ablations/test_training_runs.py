@@ -81,11 +81,28 @@ def test_ablations_continue(runs_root, tmp_path, measured, capsys):
 
 
 def test_caps_share_the_point_that_is_in_both_lines(runs_root, tmp_path, measured, capsys):
-    call("caps", runs_root, "-o", tmp_path, "--scenes", "bear", "--caps", "100", caps.STEPS_CAP, "--steps", "50", caps.ITERATIONS)
-    assert [variant for _, variant, _ in measured] == ["cap100", "cap200000", "cap200000"]
+    call(
+        "caps",
+        runs_root,
+        "-o",
+        tmp_path,
+        "--scenes",
+        "bear",
+        "--caps",
+        "100",
+        caps.STEPS_CAP,
+        "0",
+        "--steps",
+        "50",
+        caps.ITERATIONS,
+    )
+    assert [variant for _, variant, _ in measured] == ["cap100", "cap200000", "cap0", "cap200000"]
     assert len(list(tmp_path.glob("caps_bear_854_cap200000_*-steps_seed0.json"))) == 2
-    assert (tmp_path / "caps_cap.svg").exists()
-    assert "1 or more" in refuse(capsys, "caps", runs_root, "-o", tmp_path, "--scenes", "bear", "--caps", "0")
+    assert "| bear, tuned | free |" in (tmp_path / "caps.md").read_text()
+    for name in (*caps.COSTS, "steps"):
+        assert (tmp_path / f"caps_{name}.svg").exists()
+    assert "1 or more" in refuse(capsys, "caps", runs_root, "-o", tmp_path, "--scenes", "bear", "--caps", "-1")
+    assert "1 or more" in refuse(capsys, "caps", runs_root, "-o", tmp_path, "--scenes", "bear", "--steps", "0")
 
 
 def test_results_of_other_settings_are_not_compared(runs_root, tmp_path, measured, monkeypatch):
@@ -122,6 +139,9 @@ def test_every_kind_of_row_is_trained(runs_root, tmp_path):
         assert np.isfinite(value["flow_epe"])
         assert 0 < value["gaussians"]["active_mean"] <= value["gaussians"]["total"]
         assert value["seconds"]["train"] > 0
+        assert (value["page_bytes"] is None) == (value["image_seconds"] is None) == (name == "per-frame")
+    assert values["full"]["page_bytes"] > 10_000
+    assert 0 < values["full"]["image_seconds"] < 5
     assert values["full"]["psnr"] > values["4dgs"]["psnr"]
     assert values["full"]["moving"] > values["static"]["moving"]
     assert (tmp_path / "scenes" / "tiny" / "scene" / "scene.json").exists()

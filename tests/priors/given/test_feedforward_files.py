@@ -121,9 +121,10 @@ def test_depth_anything_3_without_cameras_is_depth_alone(tmp_path: Path):
         read_cameras(file, scene, False)
 
 
-def test_depth_of_0_or_nan_is_not_known(tmp_path: Path):
+@pytest.mark.filterwarnings("error")
+def test_depth_of_0_or_nan_or_next_to_0_is_not_known(tmp_path: Path):
     depth = np.repeat(network_depth((504, 280), Placement(0, 0, 504, 280))[None], FRAMES, 0)
-    depth[:, :10], depth[:, 10:20] = 0, np.nan
+    depth[:, :10], depth[:, 10:20], depth[:, 10:20, :250] = 0, np.nan, 1e-40
     given = open_depth(depth_anything(tmp_path / "results.npz", depth=depth), make_scene(tmp_path / "scene")).read(0)
     assert (given.confidence[:34] == 0).all()
     assert (given.confidence[35:] == 1).all()

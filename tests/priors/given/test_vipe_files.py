@@ -245,6 +245,8 @@ BAD = {
     "NaN": (lambda f: vipe(f, pose=np.full((5, 4, 4), np.nan)), "not finite or"),
     "intrinsics of another size": (lambda f: vipe(f, intrinsics=np.full((5, 4), 300.0)), "another shape"),
     "no principal point": (lambda f: vipe(f, intrinsics=np.full((5, 4), np.nan)), "the middle of no image"),
+    "half a principal point": (lambda f: vipe(f, intrinsics=np.tile([300, 300, 150, np.nan], (5, 1))), "the middle of no image"),
+    "the other half": (lambda f: vipe(f, intrinsics=np.tile([300, 300, np.nan, 90], (5, 1))), "the middle of no image"),
     "another layout": (lambda f: vipe(f, pose=np.ones((5, 3, 4))), "not as ViPE writes it"),
 }  # fmt: skip
 

@@ -65,7 +65,10 @@ class GivenDepth:
         known = confidence > 0
         kind = kind or self.kind
         if kind == DEPTH:
-            nearness = 1 / np.where(known, values, 1)
+            with np.errstate(over="ignore"):  # what is so near that its inverse is no number is not known
+                nearness = 1 / np.where(known, values, 1)
+            known &= np.isfinite(nearness)
+            confidence = np.where(known, confidence, 0)
         else:
             nearness = values if kind == DISPARITY else self.white - values
         # What is not known is as far away as the furthest.

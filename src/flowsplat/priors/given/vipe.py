@@ -67,7 +67,7 @@ def read_cameras(folder: Path, scene: Scene) -> tuple[list[Camera], str]:
         if i not in values:
             raise InputError(f"{lens} has no intrinsics of frame {i}.")
         fx, fy, cx, cy = values[i].astype(np.float64)
-        if not 0.5 <= min(cx, cy) <= max(cx, cy) < 1e5:
+        if not (0.5 <= cx < 1e5 and 0.5 <= cy < 1e5):  # each by itself: min and max may pass over a NaN
             raise InputError(f"{lens}: the principal point of frame {i} is ({cx:g}, {cy:g}), which is the middle of no image.")
         width, height = round(2 * cx), round(2 * cy)
         require_shape(lens, width, height, scene)
