@@ -76,6 +76,10 @@ def preset(name: str) -> RunConfig:
     return presets[name]
 
 
+_SHORT_OPTIONS = {"--seed": "train.seed", "--gaussians": "train.gaussians"}
+"""Settings that the command line takes by a short name, too."""
+
+
 def format_option(name: str) -> str:
     """Return the option of the command line for a setting of a run by its dotted name."""
     return "--" + name.removeprefix("input.").removeprefix("priors.").replace("_", "-")
@@ -84,9 +88,9 @@ def format_option(name: str) -> str:
 def find_setting(option: str) -> str | None:
     """Return the inverse of ``format_option``, None where there is no such option.
 
-    Hyphens in front may be missing, and those within may be underscores.
+    Hyphens in front may be missing, and those within may be underscores. Settings with a short name have that, too.
     """
-    options = {format_option(name): name for name in list_setting_types(RunConfig)}
+    options = {format_option(name): name for name in list_setting_types(RunConfig)} | _SHORT_OPTIONS
     return options.get("--" + option.lstrip("-").replace("_", "-"))
 
 

@@ -116,7 +116,7 @@ def run(
 
 def export(
     source: Run | str | Path, to: str, out: str | Path | None = None, *, time: float | None = None, flip_axes: bool = False,
-    max_gaussians: int | None = None,
+    max_gaussians: int | None = None, size_mb: float | None = None,
 ) -> Path:  # fmt: skip
     """Write a trained run in the format of other programs, or as a page that plays it.
 
@@ -126,7 +126,8 @@ def export(
         out: the file or folder to write; None = in the folder of the run, in ``export/``.
         time: seconds of the clip that a format of one time shows; None = the middle.
         flip_axes: turn y up and z backward, in formats that do not prescribe their axes.
-        max_gaussians: keep at most this many: those that hold most of the training frames. None = all.
+        max_gaussians: keep at most this many: those without which the training frames would change most. None = all.
+        size_mb: millions of bytes that the file may have: as many Gaussians are kept as have room. None = any size.
 
     Returns:
         what was written: a file or a folder.
@@ -140,7 +141,7 @@ def export(
         PosixPath('out/scene.ply')
     """
     run = source if isinstance(source, Run) else Run(source)
-    options = ExportOptions(time=time, flip_axes=flip_axes, max_gaussians=max_gaussians)
+    options = ExportOptions(time=time, flip_axes=flip_axes, max_gaussians=max_gaussians, size_mb=size_mb)
     return export_scene(run.model, run.scene, to, out, options, stages.one_color_of(run.folder))
 
 

@@ -10,6 +10,7 @@ import tyro
 from msgspec import Meta
 
 from flowsplat.common.bounds import Amount, AtLeastOne, Count, Fraction, Share, bounds_in_help, check_bounds
+from flowsplat.common.errors import InputError
 from flowsplat.common.settings import LEFT_OUT_BY_DEFAULT
 from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.initialize import InitConfig
@@ -18,6 +19,9 @@ from flowsplat.gaussians.motion import motion_model
 from flowsplat.training.frame_order import Order
 from flowsplat.training.losses import LOSSES, LossTerm, add_weights
 from flowsplat.training.strategies import STRATEGIES
+
+START_FACTOR = 2
+"""How many times as many Gaussians are placed as are to stay (``TrainConfig.gaussians``), at most. Chosen by eye."""
 
 
 @bounds_in_help
@@ -127,6 +131,11 @@ class DensityConfig:
     """Opacity after a reset."""
     max_gaussians: AtLeastOne = 1_500_000
     """Never more than this."""
+    prune_change: Amount = field(default=0.0, metadata=LEFT_OUT_BY_DEFAULT)
+    """Gaussians without which the training frames change least are removed once: as many as add no more than this share to the
+    squared error in the pixels of their object, or of the background (ours; 0 in the paper). Of strategy ``default``."""
+    prune_after: AtLeastOne = field(default=100, metadata=LEFT_OUT_BY_DEFAULT)
+    """Steps after which that is done."""
     revise: bool = True
     """Background that keeps a large residual becomes dynamic, dynamic Gaussians that rest become background (ours). Of strategy
     ``default``, and without effect where background is no other than what moves (``model.freeze_background`` off, as in the
@@ -149,6 +158,10 @@ class TrainConfig:
     """Optimizer steps."""
     strategy: Annotated[str, STRATEGIES.option()] = field(default="default", metadata=LEFT_OUT_BY_DEFAULT)
     """Who adds and removes Gaussians, and when."""
+    gaussians: Annotated[Count, tyro.conf.arg(aliases=("--gaussians",))] = field(default=0, metadata=LEFT_OUT_BY_DEFAULT)
+    """At most this many Gaussians in the end, as good as that allows: up to twice as many are placed, and
+    ``density.prune_after`` steps later those that are needed least are removed. 0 = as many as are needed. Of strategy
+    ``default``."""
     frames_per_iteration: Annotated[int, Meta(ge=0, le=10_000)] = 1
     """Frames rendered in a step; their losses are averaged. 0 = all (the paper, read literally)."""
     order: Order = "spread"
@@ -187,6 +200,14 @@ class TrainConfig:
         check_bounds(self, "--train.")
         motion_model(self.model)
         STRATEGIES.entry(self.strategy)
+        if self.gaussians and self.strategy != "default":
+            raise InputError(f"--gaussians is of --train.strategy default: of {self.strategy} give --train.density.max-gaussians.")
+
+    @property
+    def most_at_start(self) -> int:
+        """How many Gaussians may be placed."""
+        most = self.density.max_gaussians
+        return min(most, START_FACTOR * self.gaussians) if self.gaussians else most
 
     def is_averaged(self, step: int) -> bool:
         """Return whether the parameters after so many steps are among those whose mean is the result."""
@@ -207,7 +228,7 @@ _OURS = TrainConfig(
         slopes=True,
         freeze_background=True,
     ),
-    density=DensityConfig(every=250, start=250, stop=0.8, gradient=0.0, prune_scale=0.0, reset_every=0),
+    density=DensityConfig(every=250, start=250, stop=0.8, gradient=0.0, prune_scale=0.0, reset_every=0, prune_change=0.02),
 )
 
 NOT_AFFECTING_RESULT = ("checkpoint_every", "preview_every")

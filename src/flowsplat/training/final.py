@@ -49,8 +49,9 @@ def continuation_config(config: TrainConfig, steps: int, first_rates: float) -> 
     settings = replace(
         config,
         iterations=iterations,
+        gaussians=0,
         average=min(config.average, AVERAGED_SHARE * steps / iterations),
-        density=replace(config.density, every=0, reset_every=0, gradient=0.0, revise=False),
+        density=replace(config.density, every=0, reset_every=0, gradient=0.0, revise=False, prune_change=0.0),
     )
     return settings, iterations - steps
 

@@ -56,7 +56,7 @@ def per_frame_config(config: TrainConfig, frames: int) -> TrainConfig:
         frames_per_iteration=1,
         preview_every=0,
         model=replace(still.model, gains=0),
-        density=replace(still.density, max_gaussians=max(1, config.density.max_gaussians // frames)),
+        density=replace(still.density, max_gaussians=max(1, still.density.max_gaussians // frames)),
     )
 
 

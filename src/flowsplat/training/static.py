@@ -17,9 +17,15 @@ def static_config(config: TrainConfig) -> TrainConfig:
     """Return the settings without anything that moves."""
     return replace(
         config,
+        gaussians=0,
         model=replace(config.model, freeze_background=True),
         loss=replace(config.loss, flow=0.0, rigid=0.0),
-        density=replace(config.density, revise=False),
+        density=replace(
+            config.density,
+            revise=False,
+            prune_change=0.0,
+            max_gaussians=min(config.density.max_gaussians, config.gaussians or config.density.max_gaussians),
+        ),
     )
 
 
@@ -32,7 +38,7 @@ def static_start(observations: Observations, tracks: Tracks | None, config: Trai
         tracks: for an initialization from tracks.
         config: from ``static_config``.
     """
-    start = initialize(observations, tracks, config.model, config.init, config.seed, config.density.max_gaussians)
+    start = initialize(observations, tracks, config.model, config.init, config.seed, config.most_at_start)
     keep = ~start.dynamic
     if not config.init.from_priors:
         keep[:] = True

@@ -260,7 +260,7 @@ class Trainer:
         """Return the first Gaussians, of the frames and their priors."""
         config = self.config
         with spinner("Placing the first Gaussians"):
-            return initialize(self.observations, self.tracks, config.model, config.init, config.seed, config.density.max_gaussians)
+            return initialize(self.observations, self.tracks, config.model, config.init, config.seed, config.most_at_start)
 
     def _stop(self, signal: int) -> NoReturn:
         """Keep what was done. The file is written first: the terminal may be gone, and then a line on it is an error."""

@@ -17,7 +17,6 @@ from flowsplat.common.errors import InputError
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.model_config import ModelConfig
-from flowsplat.gaussians.render import render
 from flowsplat.gaussians.visibility import with_seen
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.output.camera_files import read_camera_file
@@ -25,7 +24,7 @@ from flowsplat.output.export import ExportOptions, export_scene
 from flowsplat.output.export.formats import EXPORTERS
 from flowsplat.output.export.formats.splat import RECORD
 from flowsplat.output.export.formats.spz import write_spz
-from flowsplat.output.export.importance import choose_most_important, sum_blending_weights
+from flowsplat.output.export.importance import choose_most_important
 from flowsplat.output.export.still import rotate_harmonics, still_at
 from flowsplat.priors.given.colmap import read_colmap
 from flowsplat.scenes import Scene
@@ -266,16 +265,6 @@ def test_cameras_come_back_from_colmap_and_nerfstudio(tmp_path, run):
     np.testing.assert_allclose(points[0, 1:4], still_at(model, FIRST).means[0], atol=1e-4)
 
 
-def test_weights_are_what_gaussians_add_to_the_images():
-    model = small_model(resting=30, moving=10)
-    camera, seconds = five_pairs(model)[0]
-    camera, t = model.similarity.camera(camera), model.clip_time(seconds)
-    weights = sum_blending_weights(model.gaussians, [(camera, t)] * 2)
-    assert float(weights.sum()) == pytest.approx(2 * float(render(model.gaussians, camera, t).alpha.sum()), rel=1e-4)
-    hidden = model.gaussians.active(t).rows
-    assert float(weights[~torch.isin(torch.arange(40), hidden)].sum()) == 0
-
-
 def test_the_most_important_ones_are_better_than_random_and_than_large_opaque_ones():
     model = small_model(resting=1500, moving=700)
     views = list(zip(small_cameras(model), small_times(), strict=True))
@@ -347,6 +336,25 @@ def test_the_command_keeps_as_many_as_it_is_told(capsys, tmp_path, run):
     assert 0 < len(PlyData.read(tmp_path / "a.ply")["vertex"]) <= 50
 
 
+@pytest.mark.parametrize("to", ["html", "splat", "npz"])
+def test_the_file_is_no_larger_than_it_may_be_and_hardly_smaller(capsys, tmp_path, run, to):
+    model, scene = small_model(resting=4000, moving=3000), Scene(run / "scene")
+    whole = export_scene(model, scene, to, tmp_path / f"whole.{to}", DEFAULT).stat().st_size
+    most = 0.6 * whole
+    path = export_scene(model, scene, to, tmp_path / f"out.{to}", ExportOptions(size_mb=most / 1e6))
+    assert 0.8 * most < path.stat().st_size <= most
+    assert "Gaussians: " in capsys.readouterr().err
+    same = export_scene(model, scene, to, tmp_path / f"same.{to}", ExportOptions(size_mb=whole / 1e6))
+    assert same.stat().st_size == whole
+
+
+def test_a_page_that_cannot_be_that_small_is_not_written(capsys, tmp_path, run):
+    code, line = export(capsys, run, "--to", "html", "--size-mb", "0.01", "-o", tmp_path / "a.html")
+    assert code == 2
+    assert "--size-mb 0.01 is too little: with " in line
+    assert not (tmp_path / "a.html").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -356,6 +364,10 @@ def test_the_command_keeps_as_many_as_it_is_told(capsys, tmp_path, run):
         (["--to", "npz", "--flip-axes"], "--flip-axes is for"),
         (["--to", "spz", "--flip-axes"], "not for spz"),
         (["--to", "ply", "--max-gaussians", "0"], "at least 1"),
+        (["--to", "ply", "--size-mb", "0"], "more than 0"),
+        (["--to", "ply", "--size-mb", "nan"], "more than 0"),
+        (["--to", "ply-sequence", "--size-mb", "5"], "is a folder"),
+        (["--to", "colmap", "--size-mb", "5"], "is a folder"),
         (["--to", "ply", "-o", "{folder}"], "is a folder"),
         (["--to", "colmap", "-o", "{file}"], "is a file"),
         (["--to", "ply", "-o", "{file}/scene.ply"], "is a file"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,11 +13,15 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder
 from flowsplat.common.progress import report
 from flowsplat.gaussians.model import SceneModel
-from flowsplat.output.export.formats import EXPORTERS
+from flowsplat.geometry import Camera
+from flowsplat.output.export.formats import EXPORTERS, Exporter
 from flowsplat.output.export.importance import choose_most_important
 from flowsplat.output.export.options import ExportOptions
 from flowsplat.output.export.still import middle_or
 from flowsplat.scenes import Scene
+
+SHRINK_MARGIN = 0.98
+"""How many Gaussians are kept of those that would have room if each took as many bytes as now. Chosen by eye."""
 
 
 def export_scene(
@@ -55,14 +60,32 @@ def export_scene(
     if exporter.has_gaussians and not exporter.keeps_slopes and model.gaussians.has_slopes:
         model = _without_slopes(model, scene, to, options, one_color)
     if options.max_gaussians is not None and exporter.has_gaussians:
-        views = [(scene.cameras[i], float(scene.timestamps[i])) for i in scene.train_frames]
-        model = choose_most_important(model, views, options.max_gaussians)
+        model = choose_most_important(model, _training_views(scene), options.max_gaussians)
     what = f"{len(model.gaussians):,} Gaussians" if exporter.has_gaussians else f"{scene.num_frames} cameras"
     report(f"{what} as {to}: about {_readable(exporter.estimate_bytes(model, scene, options))} in {path}")
     exporter.write(path, model, scene, options)
     if not path.exists():
         raise InputError(f"Nothing was written: format {to} made no {path}.")
+    if options.size_mb is not None:
+        _shrink(path, model, scene, exporter, options, 1e6 * options.size_mb)
     return path
+
+
+def _shrink(path: Path, model: SceneModel, scene: Scene, exporter: Exporter, options: ExportOptions, most: float) -> None:
+    """Write what was written again with fewer Gaussians, until it has ``most`` bytes: how many each takes is known only then."""
+    while (size := path.stat().st_size) > most:
+        count = int(SHRINK_MARGIN * len(model.gaussians) * most / size)
+        if count < 1:
+            path.unlink()
+            least = _readable(size)
+            raise InputError(f"--size-mb {options.size_mb:g} is too little: with {len(model.gaussians):,} Gaussians it is {least}.")
+        model = choose_most_important(model, _training_views(scene), count)
+        exporter.write(path, model, scene, options)
+        report(f"{count:,} Gaussians: {_readable(path.stat().st_size)}")
+
+
+def _training_views(scene: Scene) -> list[tuple[Camera, float]]:
+    return [(scene.cameras[i], float(scene.timestamps[i])) for i in scene.train_frames]
 
 
 def _check(model: SceneModel, to: str, options: ExportOptions) -> None:
@@ -78,6 +101,10 @@ def _check(model: SceneModel, to: str, options: ExportOptions) -> None:
         raise InputError(f"--flip-axes is for {can}, not for {to}.")
     if options.max_gaussians is not None and options.max_gaussians < 1:
         raise InputError(f"--max-gaussians is {options.max_gaussians}: give at least 1.")
+    if options.size_mb is not None and not 0 < options.size_mb < math.inf:
+        raise InputError(f"--size-mb is {options.size_mb:g}: give more than 0.")
+    if options.size_mb is not None and exporter.is_folder:
+        raise InputError(f"--size-mb is for formats of one file: {to} is a folder.")
     if not len(model.gaussians):
         raise InputError("The scene has no Gaussians: there is nothing to export.")
 

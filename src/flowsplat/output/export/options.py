@@ -15,4 +15,6 @@ class ExportOptions:
     """Turn y up and z backward, in formats that do not prescribe their axes: for viewers that show the scene upside down, as
     SuperSplat does."""
     max_gaussians: int | None = None
-    """Keep at most this many: those that hold most of the training frames. None = all."""
+    """Keep at most this many: those without which the training frames would change most. None = all."""
+    size_mb: float | None = None
+    """Megabytes (millions of bytes) that the file may have: as many Gaussians are kept as have room. None = any size."""
