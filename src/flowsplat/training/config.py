@@ -228,7 +228,7 @@ _OURS = TrainConfig(
         slopes=True,
         freeze_background=True,
     ),
-    density=DensityConfig(every=250, start=250, stop=0.8, gradient=0.0, prune_scale=0.0, reset_every=0, prune_change=0.02),
+    density=DensityConfig(every=250, start=250, stop=0.8, gradient=0.0, prune_scale=0.0, reset_every=0, prune_change=0.01),
 )
 
 NOT_AFFECTING_RESULT = ("checkpoint_every", "preview_every")

@@ -24,6 +24,8 @@ SEEDS = (0,)
 """Of the random numbers of the runs."""
 FREE = 0
 """As a cap: as many Gaussians as ``default`` takes."""
+FREE_CAP = PRESETS["default"].density.max_gaussians
+"""What a result tells of such a run as its cap."""
 CAPS = (100_000, 200_000, 400_000, FREE)
 """Gaussians at most, of the runs with different caps."""
 STEPS = (500, 1000, 2000, 4000)
@@ -36,8 +38,7 @@ CLIP_SIDE = 854
 """Long side of the clips, pixels; a rendered scene keeps its own."""
 
 REMARKS = (
-    "With a cap the first Gaussians are placed as far apart as it asks, and are as much larger. The page is the file of export "
-    "--to html, and an image is one of the clip's own, rendered by all threads.",
+    "A cap is that of --gaussians. The page is the file of export --to html, and an image one of the clip's own, by all threads.",
 )
 COLUMNS = (
     Column("PSNR", ("psnr",), 2), Column("PSNR of objects", ("moving",), 2), Column("SSIM", ("ssim",), 3),
@@ -57,8 +58,8 @@ COSTS = {
 
 def make_capped_variant(cap: int, steps: int) -> Variant:
     """At most so many Gaussians, and so many frame-steps with the schedules stretched to them."""
-    most = {"density.max_gaussians": cap or PRESETS["default"].density.max_gaussians}
-    return Variant(f"cap{cap}", f"{_name(cap)}, {steps:,} steps", {**most, "iterations": steps})
+    changes = {"density.max_gaussians": FREE_CAP, "gaussians": cap, "iterations": steps}
+    return Variant(f"cap{cap}", f"{_name(cap)}, {steps:,} steps", changes)
 
 
 def _name(cap: int) -> str:
@@ -142,8 +143,7 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
 
 
 def _cap_of(result: Result) -> int:
-    free = PRESETS["default"].density.max_gaussians
-    return FREE if result["cap"] == free else int(result["cap"])
+    return FREE if result["cap"] == FREE_CAP else int(result["cap"])
 
 
 def _steps_of(result: Result) -> int:

@@ -99,12 +99,13 @@ def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
     metrics = evaluate(model, scene, baselines=False)
     kind = "views" if scene.views else "frames"
     tested = metrics[f"heldout_{kind}"]
-    evaluated = time.perf_counter()
+    evaluated, memory = time.perf_counter(), peak_memory()
     counts = [model.active_count(float(t)) for t in scene.timestamps]
     return {
         "protocol": run.protocol, "scene": run.scene.case.scene, "size": [scene.width, scene.height],
         "tuned": run.scene.case.is_tuned, "variant": run.variant.name, "settings": run.variant.settings, "seed": run.config.seed,
-        "iterations": run.config.iterations, "cap": run.config.density.max_gaussians, "flowsplat": source_state(),
+        "iterations": run.config.iterations, "cap": run.config.gaussians or run.config.density.max_gaussians,
+        "flowsplat": source_state(),
         "test": {"kind": kind, "count": pick(tested, "count") or 0},
         **{name: pick(tested, name) for name in ("psnr", "ssim", "lpips")}, "moving": pick(tested, "moving", "psnr"),
         "training_psnr": pick(metrics, "training_frames", "psnr"),
@@ -114,7 +115,7 @@ def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
         "seconds": {
             "train": round(trained - started, 2), "train_cpu": round(used, 2), "evaluate": round(evaluated - trained, 2),
         },
-        "peak_memory_gib": peak_memory(),
+        "peak_memory_gib": memory,
     }  # fmt: skip
 
 

@@ -49,7 +49,8 @@ def measured(monkeypatch, in_this_process):
     def measure(run, _):
         done.append((run.scene.name, run.variant.name, run.config.seed))
         figures = result(run.variant.name, 30.0 + len(done), run.scene.case.scene, run.config.seed)
-        return {**figures, "protocol": run.protocol, "cap": run.config.density.max_gaussians, "iterations": run.config.iterations}
+        cap = run.config.gaussians or run.config.density.max_gaussians
+        return {**figures, "protocol": run.protocol, "cap": cap, "iterations": run.config.iterations}
 
     monkeypatch.setattr(scenes, "prepare_scene", lambda _, folder: folder)
     monkeypatch.setattr(training_runs, "measure", measure)
