@@ -67,18 +67,30 @@ def test_kernels_give_the_values_and_gradients_of_the_oracle():
 
 
 def test_gradients_of_the_oracle_are_those_of_small_changes():
+    """Small changes of all but the slopes leave the map alone by which these become slopes in the image."""
     values = random_slice(4)
     g = torch.Generator().manual_seed(2)
 
+    def project_all(given):
+        means, quats, scales, opacities, *_ = given.values()
+        return project(means, quats, scales, opacities, *CAMERA.tensors(torch.float64, "cpu"), WIDTH, HEIGHT)
+
     def total(given) -> torch.Tensor:
-        means, quats, scales, opacities, features, slopes = given.values()
-        projected = project(means, quats, scales, opacities, *CAMERA.tensors(torch.float64, "cpu"), WIDTH, HEIGHT)
-        sliced = Slice(means, quats, scales, None, opacities, features[:, :3], means, None, None, slopes)
-        seen = reference.image_slopes(sliced, projected, CAMERA)
+        *_, opacities, features, slopes = given.values()
+        first, projected = project_all(values), project_all(given)
+        means = values["means"]
+        sliced = Slice(
+            means, values["quats"], values["scales"], None, values["opacities"], features[:, :3], means, None, None, slopes
+        )
+        seen = reference.image_slopes(sliced, first, CAMERA)
         return (blend(projected, opacities, features, WIDTH, HEIGHT, slopes=seen)[0] ** 2).sum()
 
     leaves = {name: value.clone().requires_grad_() for name, value in values.items()}
-    total(leaves).backward()
+    means, quats, scales, opacities, features, slopes = leaves.values()
+    projected = project_all(leaves)
+    sliced = Slice(means, quats, scales, None, opacities, features[:, :3], means, None, None, slopes)
+    image, _ = blend(projected, opacities, features, WIDTH, HEIGHT, slopes=reference.image_slopes(sliced, projected, CAMERA))
+    (image**2).sum().backward()
     for name, leaf in leaves.items():
         change = torch.randn(leaf.shape, generator=g, dtype=torch.float64)
         small = 1e-6

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -22,7 +24,9 @@ def image_slopes(sliced: Slice, projected: Projected, camera: Camera) -> Tensor:
     if sliced.quats is None or sliced.scales is None or sliced.slopes is None:
         raise ValueError("only Gaussians with quats, scales and slopes have slopes in the image")
     view = camera.tensors(sliced.means.dtype, sliced.means.device)
-    return project_slopes(sliced.slopes, projected, sliced.means, sliced.quats, sliced.scales, *view, camera.width, camera.height)
+    shape = sliced.means.detach(), sliced.quats.detach(), sliced.scales.detach()
+    constant = replace(projected, conics=projected.conics.detach())
+    return project_slopes(sliced.slopes, constant, *shape, *view, camera.width, camera.height)
 
 
 def project_slopes(
