@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 from dataclasses import replace
 
@@ -153,6 +154,16 @@ def test_objects_keep_their_numbers_and_change_no_training(tmp_path):
     ):
         with pytest.raises(InputError, match="object_ids"):
             read()
+
+
+@pytest.mark.parametrize("focal", [1e-300, 5e-324, -3.0, 1e11])
+def test_a_model_whose_focal_length_is_none_is_refused(tmp_path, focal):
+    save_model(tmp_path, SceneModel(a_few(tiny("default")), Similarity(), 0.0, 1.0, focal=300.0))
+    assert load_model(tmp_path).focal == 300
+    value = json.loads((tmp_path / "model.json").read_text())
+    (tmp_path / "model.json").write_text(json.dumps({**value, "focal": focal}))
+    with pytest.raises(InputError, match="does not hold a trained model: its focal length is"):
+        load_model(tmp_path)
 
 
 def test_after_the_last_step_no_gaussian_is_added_or_reset():

@@ -156,9 +156,12 @@ def load_model(folder: Path) -> SceneModel:
         check_model(folder, gaussians)
         if not value["last"] > value["first"]:
             raise ValueError("its last frame is not after its first")
+        focal = float(value.get("focal", 0.0))
+        if not (focal == 0 or 1 / MAX_COORDINATE <= focal <= MAX_COORDINATE):
+            raise ValueError(f"its focal length is {focal:g} pixels")
         return SceneModel(
             gaussians, Similarity.from_json(value["similarity"]), float(value["first"]), float(value["last"]),
-            value["flow_model"], bool(value["fill"]), float(value.get("focal", 0.0)),
+            value["flow_model"], bool(value["fill"]), focal,
         )  # fmt: skip
     except (KeyError, TypeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{folder} does not hold a trained model: {error}.") from error
