@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from flowsplat.gaussians.flow import blend_features
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
 from flowsplat.gaussians.slicing import slice_gaussians
 from flowsplat.gaussians.slopes import image_slopes
@@ -61,8 +62,10 @@ def compute_contributions(gaussians: Gaussians4D, camera: Camera, t: float, gene
             near_plane=NEAR_PLANE,
         )
         slopes = image_slopes(sliced, projected, camera)
+        # With depth, as images are rendered: kernels of as many features are compiled already.
+        features = blend_features(sliced, projected, camera, None)
     opacities = sliced.opacities.detach().requires_grad_()
-    image, _ = blend(projected, opacities, sliced.colors, *size, slopes=slopes)
+    image = blend(projected, opacities, features, *size, slopes=slopes)[0][..., :3]
     signs = torch.randint(0, 2, image.shape, generator=generator, dtype=torch.int8)
     image.backward(signs.to(image) * 2 - 1)
     assert opacities.grad is not None
