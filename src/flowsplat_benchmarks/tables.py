@@ -22,10 +22,11 @@ TUNED_MARK = "*tuned*"
 
 @dataclass(frozen=True)
 class Chart:
-    """A drawing that belongs to a table: the name of its file, and the SVG."""
+    """A drawing that belongs to a table: the name of its file, the SVG, and what it shows where that is not all of the table."""
 
     file: str
     drawing: Markup
+    title: str = ""
 
 
 @dataclass(frozen=True)
@@ -126,5 +127,5 @@ def format_page(title: str, remarks: Sequence[str], found: Sequence[Table]) -> s
     for each in found:
         lines += ["", f"## {each.title}", "", *format_table(each.header, each.rows, each.strong), "", each.note]
         for chart in each.charts:
-            lines += ["", f"![{each.title}]({chart.file})"]
+            lines += ["", f"![{chart.title or each.title}]({chart.file})"]
     return "\n".join(lines) + "\n"

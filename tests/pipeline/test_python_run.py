@@ -23,6 +23,12 @@ def test_every_public_name_is_listed_and_there():
         _ = flowsplat.walk
 
 
+def test_settings_with_a_short_name_are_taken_by_it():
+    config = make_config("default", {"gaussians": 70_000, "--seed": 3})
+    assert (config.train.gaussians, config.train.seed) == (70_000, 3)
+    assert make_config("default", {"train.gaussians": 70_000}).train.gaussians == 70_000
+
+
 def test_looking_at_the_names_imports_nothing():
     code = "import sys, flowsplat; dir(flowsplat); print('torch' in sys.modules, 'numpy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -79,7 +79,7 @@ def test_a_small_object_is_measured_by_its_own_error():
     assert float(own[~rests].max()) < 1e4
     cover = np.ones(numbers.shape, bool)
     hidden = Observations(of_object.frames, of_object.similarity, cover)
-    assert float(rank_by_need(gaussians, hidden, 0).min()) > 1e6, "where all is burnt in there is no error"
+    assert not rank_by_need(gaussians, hidden, 0).any(), "where all is burnt in nobody sees them"
 
 
 def test_they_go_in_rounds_and_a_stopped_training_ends_with_the_same_bits(tmp_path, capsys, monkeypatch):
@@ -94,6 +94,15 @@ def test_they_go_in_rounds_and_a_stopped_training_ends_with_the_same_bits(tmp_pa
     assert "Step 3: 5 Gaussians that hardly change an image are removed." in capsys.readouterr().err
     again = Trainer(seen(a_few(config)), None, config, tmp_path)
     assert all(torch.equal(again.run().params[name], value) for name, value in whole.params.items())
+
+
+@pytest.mark.parametrize(("iterations", "after", "placed"), [(8, 3, 24), (60, 3, 24), (8, 8, 13)])
+def test_a_budget_holds_however_short_the_training_is(iterations, after, placed):
+    config = replace(settings(13, prune_change=0.0), iterations=iterations)
+    config = replace(config, density=replace(config.density, prune_after=after))
+    assert min(24, config.most_at_start) == placed
+    start = a_few(config, placed)
+    assert len(Trainer(seen(start), None, config, start=start).run()) == 13
 
 
 def test_who_changes_little_goes_without_a_budget():

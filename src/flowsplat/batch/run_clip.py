@@ -115,7 +115,8 @@ def fewer_gaussians(config: RunConfig) -> RunConfig:
         foreground_spacing=SPARSER_SPACING_FACTOR * train.init.foreground_spacing,
     )  # fmt: skip
     density = replace(train.density, max_gaussians=max(1, train.density.max_gaussians // 2))
-    return replace(config, train=replace(train, init=init, density=density))
+    gaussians = train.gaussians and max(1, train.gaussians // 2)
+    return replace(config, train=replace(train, init=init, density=density, gaussians=gaussians))
 
 
 def _video(folder: Path) -> Path | None:

@@ -32,19 +32,22 @@ class Contributions:
     changes: Tensor
 
 
-def compute_contributions(gaussians: Gaussians4D, camera: Camera, t: float, generator: torch.Generator) -> Contributions:
+def compute_contributions(
+    gaussians: Gaussians4D, camera: Camera, t: float, generator: torch.Generator, counted: Tensor | None = None
+) -> Contributions:
     """Estimate by how much an image changes without each of its Gaussians.
 
-    An image is linear in every opacity o, so without a Gaussian a pixel I differs by o dI/do, and what lies behind it is seen. The
-    sum of their squares over pixels is the mean of the square of o d(s . I)/do over images s of random signs (Hutchinson's
-    estimate of a trace, https://doi.org/10.1080/03610919008812866). One such image is taken: the standard deviation is at most
-    1.4 times what is estimated, and less of a sum over images.
+    An image is linear in every opacity o, so without a Gaussian a pixel I differs by o dI/do, and what lies behind it is seen (but
+    where alpha is clamped, or nothing more is drawn). The sum of their squares over pixels is the mean of the square of
+    o d(s . I)/do over images s of random signs (Hutchinson's estimate of a trace, https://doi.org/10.1080/03610919008812866). One
+    such image is taken: the standard deviation is at most 1.4 times what is estimated, and less of a sum over images.
 
     Args:
         gaussians: the model.
         camera: in normalized coordinates.
         t: clip time.
         generator: on the host, of the signs.
+        counted: [H, W] bool, on the host, the pixels that count; None = all.
     """
     active = gaussians.active(t, camera)
     size = camera.width, camera.height
@@ -67,7 +70,8 @@ def compute_contributions(gaussians: Gaussians4D, camera: Camera, t: float, gene
     opacities = sliced.opacities.detach().requires_grad_()
     image = blend(projected, opacities, features, *size, slopes=slopes)[0][..., :3]
     signs = torch.randint(0, 2, image.shape, generator=generator, dtype=torch.int8)
-    image.backward(signs.to(image) * 2 - 1)
+    signs = 2 * signs - 1 if counted is None else (2 * signs - 1) * counted[..., None]
+    image.backward(signs.to(image))
     assert opacities.grad is not None
     return Contributions(image.detach(), active.rows, (opacities.grad * opacities.detach()) ** 2)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_type_hints
 
 import tyro
 
@@ -76,13 +76,16 @@ def preset(name: str) -> RunConfig:
     return presets[name]
 
 
-_SHORT_OPTIONS = {"--seed": "train.seed", "--gaussians": "train.gaussians"}
-"""Settings that the command line takes by a short name, too."""
-
-
 def format_option(name: str) -> str:
     """Return the option of the command line for a setting of a run by its dotted name."""
     return "--" + name.removeprefix("input.").removeprefix("priors.").replace("_", "-")
+
+
+def _short_options() -> dict[str, str]:
+    """Return the settings of training that the command line takes by a short name, too (``tyro.conf.arg(aliases=...)``)."""
+    hints = get_type_hints(TrainConfig, include_extras=True)
+    annotated = ((name, extra) for name, hint in hints.items() for extra in getattr(hint, "__metadata__", ()))
+    return {alias: f"train.{name}" for name, extra in annotated for alias in getattr(extra, "aliases", None) or ()}
 
 
 def find_setting(option: str) -> str | None:
@@ -90,7 +93,7 @@ def find_setting(option: str) -> str | None:
 
     Hyphens in front may be missing, and those within may be underscores. Settings with a short name have that, too.
     """
-    options = {format_option(name): name for name in list_setting_types(RunConfig)} | _SHORT_OPTIONS
+    options = {format_option(name): name for name in list_setting_types(RunConfig)} | _short_options()
     return options.get("--" + option.lstrip("-").replace("_", "-"))
 
 

@@ -155,7 +155,8 @@ def _open_event_log(folder: Path) -> Iterator[Callable[[Mapping[str, float]], No
 
 
 def static_model(folder: RunFolder) -> SceneModel:
-    """Our own static scene: the same initial Gaussians, objects as in their middle frame, no motion, a quarter of the steps."""
+    """Our own static scene: initial Gaussians as of the moving one (as many as may stay), objects as in their middle frame, no
+    motion, a quarter of the steps."""
     path, key = folder.static_path, stage_key(train_key(folder), "static")
     with folder.stage("static", key, (path,), made=has_model(path)) as stage:
         if stage.is_done:

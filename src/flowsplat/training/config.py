@@ -135,7 +135,7 @@ class DensityConfig:
     """Gaussians without which the training frames change least are removed once: as many as add no more than this share to the
     squared error in the pixels of their object, or of the background (ours; 0 in the paper). Of strategy ``default``."""
     prune_after: AtLeastOne = field(default=100, metadata=LEFT_OUT_BY_DEFAULT)
-    """Steps after which that is done."""
+    """Steps after which that is done, and after which the first of those go that ``gaussians`` has no room for."""
     revise: bool = True
     """Background that keeps a large residual becomes dynamic, dynamic Gaussians that rest become background (ours). Of strategy
     ``default``, and without effect where background is no other than what moves (``model.freeze_background`` off, as in the
@@ -159,8 +159,8 @@ class TrainConfig:
     strategy: Annotated[str, STRATEGIES.option()] = field(default="default", metadata=LEFT_OUT_BY_DEFAULT)
     """Who adds and removes Gaussians, and when."""
     gaussians: Annotated[Count, tyro.conf.arg(aliases=("--gaussians",))] = field(default=0, metadata=LEFT_OUT_BY_DEFAULT)
-    """At most this many Gaussians in the end, as good as that allows: up to twice as many are placed, and
-    ``density.prune_after`` steps later those that are needed least are removed. 0 = as many as are needed. Of strategy
+    """At most this many Gaussians in the end, as good as that allows: up to twice as many are placed, and from
+    ``density.prune_after`` on those that are needed least go, a fifth every 50 steps. 0 = as many as are needed. Of strategy
     ``default``."""
     frames_per_iteration: Annotated[int, Meta(ge=0, le=10_000)] = 1
     """Frames rendered in a step; their losses are averaged. 0 = all (the paper, read literally)."""
@@ -207,7 +207,10 @@ class TrainConfig:
     def most_at_start(self) -> int:
         """How many Gaussians may be placed."""
         most = self.density.max_gaussians
-        return min(most, START_FACTOR * self.gaussians) if self.gaussians else most
+        if not self.gaussians:
+            return most
+        is_long = self.iterations > self.density.prune_after  # else none would ever go
+        return min(most, (START_FACTOR if is_long else 1) * self.gaussians)
 
     def is_averaged(self, step: int) -> bool:
         """Return whether the parameters after so many steps are among those whose mean is the result."""

@@ -24,7 +24,7 @@ def rank_by_need(gaussians: Gaussians4D, observations: Observations, seed: int) 
 
     Args:
         gaussians: the model.
-        observations: the training frames; pixels where something is burnt in have no error.
+        observations: the training frames; pixels where something is burnt in do not count.
         seed: of the random signs of the estimate.
     """
     generator = torch.Generator().manual_seed(seed)
@@ -32,7 +32,7 @@ def rank_by_need(gaussians: Gaussians4D, observations: Observations, seed: int) 
     errors = torch.zeros(_OBJECT_NUMBERS, dtype=torch.float64, device=gaussians.device)
     shown = None if observations.overlay is None else torch.from_numpy(~observations.overlay)
     for frame in observations.frames:
-        found = compute_contributions(gaussians, frame.camera, frame.time, generator)
+        found = compute_contributions(gaussians, frame.camera, frame.time, generator, shown)
         changes.index_add_(0, found.rows, found.changes.double())
         target, numbers = torch.from_numpy(frame.image).to(found.image), torch.from_numpy(frame.object_ids)
         error = ((found.image - target / 255) ** 2).sum(-1)

@@ -77,7 +77,7 @@ def run_caps(
     again: bool = False,
     options: BenchmarkOptions | None = None,
 ) -> Path:
-    """Run or resume the runs with different caps and steps: one JSON a run, ``OUT/caps.md`` and ``.html``, and both images.
+    """Run or resume the runs with different caps and steps: one JSON a run, ``OUT/caps.md`` and ``.html``, and the images.
 
     Args:
         root: the data root.
@@ -93,8 +93,8 @@ def run_caps(
     Raises:
         InputError: a number or a name cannot be used, or the folder cannot be written.
     """
-    if any(value < 0 for value in caps) or any(value < 1 for value in steps):
-        raise InputError("--caps and --steps are numbers of Gaussians (0 = free) and of steps: 1 or more.")
+    if any(not 0 <= value < FREE_CAP for value in caps) or any(value < 1 for value in steps):
+        raise InputError(f"--caps are numbers of Gaussians below {FREE_CAP:,} (0 = free), --steps are 1 or more.")
     plan = dict.fromkeys([*((cap, ITERATIONS) for cap in caps), *((STEPS_CAP, count) for count in steps)])
     known = ablation_scenes(root, size)
     wanted = choose_scenes(root, known, scenes)
@@ -176,14 +176,14 @@ def _chart(
         groups = _groups(results, scene, axis).values()
         costs = [compute_scaled_mean((pick(result, *path) for result in group), factor) for group in groups]
         series[label] = (costs, [mean_of(result["psnr"] for result in group) for group in groups])
-    return Chart(f"{name}.svg", line_chart(series, title=title, x_label=x_label, y_label="PSNR, dB", dots=True))
+    return Chart(f"{name}.svg", line_chart(series, title=title, x_label=x_label, y_label="PSNR, dB", dots=True), title)
 
 
 def _table(
     title: str, note: str, label: str, results: Sequence[Result], axis: Callable[[Result], int], charts: Sequence[Chart]
 ) -> Table:
     scenes = scene_names(results)
-    more = f" The image shows {MAX_SERIES} of {len(scenes)} scenes." if len(scenes) > MAX_SERIES else ""
+    more = f" Images show {MAX_SERIES} of {len(scenes)} scenes." if len(scenes) > MAX_SERIES else ""
     rows = [
         (name, _name(value), *(column.cell(*group) for column in COLUMNS))
         for scene, name in scenes.items()

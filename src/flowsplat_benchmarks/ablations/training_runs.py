@@ -121,7 +121,7 @@ def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
 
 def _size_and_speed(model: SceneModel, scene: Scene) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
-        page = export_scene(model, scene, "html", Path(folder) / "page.html", ExportOptions())
+        page = export_scene(model.to("cpu"), scene, "html", Path(folder) / "page.html", ExportOptions())
         size = page.stat().st_size
     seconds = []
     for i in spread(scene.num_frames, TIMED_IMAGES):

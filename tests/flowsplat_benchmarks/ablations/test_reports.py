@@ -106,6 +106,7 @@ def test_caps(tmp_path):
         assert drawing.count('<path class="line"') == 2
         assert drawing.count("<circle") == (4 if name == "steps" else 6)
         assert text.count(f"](caps_{name}.svg)") == 1
+    assert "![PSNR against megabytes of the page](caps_bytes.svg)" in text
 
 
 def test_what_is_left_out_is_told(tmp_path):
@@ -126,7 +127,7 @@ def test_many_scenes_are_not_all_in_the_image(tmp_path):
     caps.write_report(tmp_path, found, {})
     assert (tmp_path / "caps_gaussians.svg").read_text().count('<path class="line"') == 5
     text = (tmp_path / "caps.md").read_text()
-    assert "The image shows 5 of 7 scenes." in text
+    assert "Images show 5 of 7 scenes." in text
     assert "| g, tuned | 50,000 |" in text
 
 

@@ -102,7 +102,8 @@ def test_caps_share_the_point_that_is_in_both_lines(runs_root, tmp_path, measure
     assert "| bear, tuned | free |" in (tmp_path / "caps.md").read_text()
     for name in (*caps.COSTS, "steps"):
         assert (tmp_path / f"caps_{name}.svg").exists()
-    assert "1 or more" in refuse(capsys, "caps", runs_root, "-o", tmp_path, "--scenes", "bear", "--caps", "-1")
+    for cap in ("-1", caps.FREE_CAP):
+        assert "below 1,500,000 (0 = free)" in refuse(capsys, "caps", runs_root, "-o", tmp_path, "--scenes", "bear", "--caps", cap)
     assert "1 or more" in refuse(capsys, "caps", runs_root, "-o", tmp_path, "--scenes", "bear", "--steps", "0")
 
 

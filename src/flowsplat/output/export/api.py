@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder
@@ -20,8 +22,8 @@ from flowsplat.output.export.options import ExportOptions
 from flowsplat.output.export.still import middle_or
 from flowsplat.scenes import Scene
 
-SHRINK_MARGIN = 0.98
-"""How many Gaussians are kept of those that would have room if each took as many bytes as now. Chosen by eye."""
+SIZE_MARGIN = 0.98
+"""Share that is kept of the Gaussians that would have room if each took as many bytes as now. Chosen by eye."""
 
 
 def export_scene(
@@ -60,31 +62,45 @@ def export_scene(
     if exporter.has_gaussians and not exporter.keeps_slopes and model.gaussians.has_slopes:
         model = _without_slopes(model, scene, to, options, one_color)
     if options.max_gaussians is not None and exporter.has_gaussians:
-        model = choose_most_important(model, _training_views(scene), options.max_gaussians)
+        model = choose_most_important(model, _list_views(scene), options.max_gaussians)
+    if options.size_mb is not None:
+        model = _fit_size(model, scene, exporter, path.name, options, 1e6 * options.size_mb)
     what = f"{len(model.gaussians):,} Gaussians" if exporter.has_gaussians else f"{scene.num_frames} cameras"
     report(f"{what} as {to}: about {_readable(exporter.estimate_bytes(model, scene, options))} in {path}")
     exporter.write(path, model, scene, options)
     if not path.exists():
         raise InputError(f"Nothing was written: format {to} made no {path}.")
-    if options.size_mb is not None:
-        _shrink(path, model, scene, exporter, options, 1e6 * options.size_mb)
     return path
 
 
-def _shrink(path: Path, model: SceneModel, scene: Scene, exporter: Exporter, options: ExportOptions, most: float) -> None:
-    """Write what was written again with fewer Gaussians, until it has ``most`` bytes: how many each takes is known only then."""
-    while (size := path.stat().st_size) > most:
-        count = int(SHRINK_MARGIN * len(model.gaussians) * most / size)
-        if count < 1:
-            path.unlink()
-            least = _readable(size)
-            raise InputError(f"--size-mb {options.size_mb:g} is too little: with {len(model.gaussians):,} Gaussians it is {least}.")
-        model = choose_most_important(model, _training_views(scene), count)
-        exporter.write(path, model, scene, options)
-        report(f"{count:,} Gaussians: {_readable(path.stat().st_size)}")
+def _fit_size(model: SceneModel, scene: Scene, exporter: Exporter, name: str, options: ExportOptions, most: float) -> SceneModel:
+    """Return the scene with as many Gaussians as ``most`` bytes have room for: how many each takes is known when it is written."""
+    with tempfile.TemporaryDirectory() as folder:
+        trial = Path(folder) / name
+
+        def measure(tried: SceneModel) -> int:
+            exporter.write(trial, tried, scene, options)
+            return trial.stat().st_size
+
+        count, size = len(model.gaussians), measure(model)
+        if size <= most:
+            return model
+        half = model.gaussians.select(torch.arange(0, count, 2))
+        each = max(size - measure(replace(model, gaussians=half)), 1) / max(count - len(half), 1)
+        rest = size - each * count  # what the file holds beside Gaussians
+        while size > most:
+            count = min(int(SIZE_MARGIN * (most - rest) / each), count - 1)
+            if count < 1:
+                raise InputError(
+                    f"--size-mb {options.size_mb:g} is too little: without any Gaussian it is {_readable(max(rest, size - each))}."
+                )
+            model = choose_most_important(model, _list_views(scene), count)
+            size = measure(model)
+            each = max(size - rest, 1) / count
+    return model
 
 
-def _training_views(scene: Scene) -> list[tuple[Camera, float]]:
+def _list_views(scene: Scene) -> list[tuple[Camera, float]]:
     return [(scene.cameras[i], float(scene.timestamps[i])) for i in scene.train_frames]
 
 
@@ -103,8 +119,10 @@ def _check(model: SceneModel, to: str, options: ExportOptions) -> None:
         raise InputError(f"--max-gaussians is {options.max_gaussians}: give at least 1.")
     if options.size_mb is not None and not 0 < options.size_mb < math.inf:
         raise InputError(f"--size-mb is {options.size_mb:g}: give more than 0.")
-    if options.size_mb is not None and exporter.is_folder:
-        raise InputError(f"--size-mb is for formats of one file: {to} is a folder.")
+    if options.size_mb is not None and (exporter.is_folder or not exporter.has_gaussians):
+        raise InputError(
+            f"--size-mb is for Gaussians in one file: {to} has {'none' if not exporter.has_gaussians else 'a folder'}."
+        )
     if not len(model.gaussians):
         raise InputError("The scene has no Gaussians: there is nothing to export.")
 

@@ -20,7 +20,8 @@ SAMPLE_EVERY = 4
 BUDGET_EVERY = 50
 """Steps between two rounds in which Gaussians go that a budget has no room for. Chosen by eye."""
 KEPT_IN_A_ROUND = 0.8
-"""Share of the Gaussians that stay in such a round, at least: who is missed is known for a few of them at a time. Chosen by eye."""
+"""Share of the Gaussians that have room in such a round, but for the last one before training ends: who is missed is known for a
+few of them at a time. Chosen by eye."""
 
 
 @STRATEGIES.register(
@@ -55,7 +56,10 @@ class DefaultStrategy(PaperStrategy):
         with torch.enable_grad():
             lost = rank_by_need(gaussians, self.observations, config.seed)
         share = config.density.prune_change if state.step == config.density.prune_after else 0.0
-        most = max(config.gaussians, int(KEPT_IN_A_ROUND * len(gaussians))) if config.gaussians else len(gaussians)
+        most = len(gaussians)
+        if config.gaussians:
+            is_last = state.step + BUDGET_EVERY >= config.iterations
+            most = config.gaussians if is_last else max(config.gaussians, int(KEPT_IN_A_ROUND * most))
         rows = choose_needed(lost, share, most)
         if len(rows) < len(gaussians):
             state.adopt(DensityResult(gaussians.select(rows), rows, torch.zeros_like(rows, dtype=torch.bool)))

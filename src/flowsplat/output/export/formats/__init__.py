@@ -21,12 +21,13 @@ class Exporter:
 
     Attributes:
         write: writes a file, or into a folder that is there, and raises an ``InputError`` where that is impossible. The model has
-            as many Gaussians as ``max_gaussians`` leaves, and at least one.
+            as many Gaussians as ``max_gaussians`` and ``size_mb`` leave, and at least one. For ``size_mb`` it is called several
+            times, elsewhere first.
         estimate_bytes: about how many it will be.
         default_name: of the file, or of the folder: what has no suffix is one.
         is_of_one_time: it shows the scene at one time, and takes ``time``.
         can_flip_axes: it takes ``flip_axes``.
-        has_gaussians: it takes ``max_gaussians``; otherwise it has the cameras alone.
+        has_gaussians: it takes ``max_gaussians`` and, as one file, ``size_mb``; otherwise it has the cameras alone.
         keeps_slopes: brightness may vary inside its Gaussians; otherwise each has one color, and what is lost is told.
         reader: dotted name of what in flowsplat reads it back.
     """
