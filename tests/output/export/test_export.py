@@ -351,7 +351,7 @@ def test_a_page_that_cannot_be_that_small_is_not_written(capsys, tmp_path, run):
     (tmp_path / "a.html").write_text("the page of before")
     code, line = export(capsys, run, "--to", "html", "--size-mb", "0.01", "-o", tmp_path / "a.html")
     assert code == 2
-    assert "--size-mb 0.01 is too little: without any Gaussian it is " in line
+    assert "--size-mb 0.01 is too little: beside Gaussians there are " in line
     assert (tmp_path / "a.html").read_text() == "the page of before"
 
 

@@ -13,7 +13,7 @@ import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder
-from flowsplat.common.progress import report
+from flowsplat.common.progress import as_one, report
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Camera
 from flowsplat.output.export.formats import EXPORTERS, Exporter
@@ -75,7 +75,7 @@ def export_scene(
 
 def _fit_size(model: SceneModel, scene: Scene, exporter: Exporter, name: str, options: ExportOptions, most: float) -> SceneModel:
     """Return the scene with as many Gaussians as ``most`` bytes have room for: how many each takes is known when it is written."""
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, as_one("Looking how many Gaussians have room"):
         trial = Path(folder) / name
 
         def measure(tried: SceneModel) -> int:
@@ -92,7 +92,7 @@ def _fit_size(model: SceneModel, scene: Scene, exporter: Exporter, name: str, op
             count = min(int(SIZE_MARGIN * (most - rest) / each), count - 1)
             if count < 1:
                 raise InputError(
-                    f"--size-mb {options.size_mb:g} is too little: without any Gaussian it is {_readable(max(rest, size - each))}."
+                    f"--size-mb {options.size_mb:g} is too little: beside Gaussians there are {_readable(max(rest, 1))}."
                 )
             model = choose_most_important(model, _list_views(scene), count)
             size = measure(model)
