@@ -57,7 +57,7 @@ def test_what_a_training_needs_is_compiled_then():
     compile_kernels()
     before = compiled()
     config = replace(PRESETS["default"], iterations=4, preview_every=0)
-    config = replace(config, density=replace(config.density, prune_after=2))
+    config = replace(config, density=replace(config.density, prune_after=2, prune_change=0.01))
     start = a_few(config)
     observations = seen(start)
     trained = Trainer(observations, None, config, start=start).run()

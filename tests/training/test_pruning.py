@@ -117,8 +117,8 @@ def test_who_changes_little_goes_without_a_budget():
 
 @pytest.mark.parametrize("others", [lambda c: final_config(c, 3)[0], static_config, lambda c: per_frame_config(c, 4)])
 def test_what_goes_on_or_is_compared_with_removes_none(others):
-    config = replace(PRESETS["default"], gaussians=1000)
-    assert config.density.prune_change > 0
+    density = replace(PRESETS["default"].density, prune_change=0.01)
+    config = replace(PRESETS["default"], gaussians=1000, density=density)
     found = others(config)
     assert (found.density.prune_change, found.gaussians) == (0, 0)
 

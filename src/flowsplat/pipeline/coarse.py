@@ -102,7 +102,7 @@ def coarse_settings() -> TrainConfig:
     ours = PRESETS["default"]
     return replace(
         ours, iterations=COARSE_STEPS, checkpoint_every=0, preview_every=0,
-        density=replace(ours.density, every=COARSE_STEPS // 3, start=COARSE_STEPS // 3, prune_change=0.0),
+        density=replace(ours.density, every=COARSE_STEPS // 3, start=COARSE_STEPS // 3),
     )  # fmt: skip
 
 

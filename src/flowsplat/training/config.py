@@ -133,7 +133,8 @@ class DensityConfig:
     """Never more than this."""
     prune_change: Amount = field(default=0.0, metadata=LEFT_OUT_BY_DEFAULT)
     """Gaussians without which the training frames change least are removed once: as many as add no more than this share to the
-    squared error in the pixels of their object, or of the background (ours; 0 in the paper). Of strategy ``default``."""
+    squared error in the pixels of their object, or of the background (ours): .01 takes a fifth of the Gaussians and costs .04 dB
+    along the clip's path, .2 from aside. Of strategy ``default``."""
     prune_after: AtLeastOne = field(default=100, metadata=LEFT_OUT_BY_DEFAULT)
     """Steps after which that is done, and after which the first of those go that ``gaussians`` has no room for."""
     revise: bool = True
@@ -231,7 +232,7 @@ _OURS = TrainConfig(
         slopes=True,
         freeze_background=True,
     ),
-    density=DensityConfig(every=250, start=250, stop=0.8, gradient=0.0, prune_scale=0.0, reset_every=0, prune_change=0.01),
+    density=DensityConfig(every=250, start=250, stop=0.8, gradient=0.0, prune_scale=0.0, reset_every=0),
 )
 
 NOT_AFFECTING_RESULT = ("checkpoint_every", "preview_every")

@@ -111,7 +111,7 @@ CLAIMS: tuple[Claim, ...] = (
     _ours("flow-0.01", "a third of the paper's weight of the flow loss", {"loss.flow": 0.01}, 0),
     _ours("rigid-0.5", "the paper's weight of the rigid loss", {"loss.rigid": 0.5}),
     _ours("no-revise", "what moves is not revised", {"density.revise": False}),
-    _ours("keep-all", "what is not needed stays", {"density.prune_change": 0.0}, 0),
+    _ours("prune-0.01", "Gaussians that are needed least go", {"density.prune_change": 0.01}, 0),
     _ours("one-color", "one brightness inside a Gaussian", {"model.slopes": False}),
     _ours("spheres", "start as spheres, not as discs", {"init.surface_aligned": False}),
     _ours("even-detail", "as many Gaussians where nothing is as where the detail is", {"init.detail": 0.0}),

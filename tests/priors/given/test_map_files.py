@@ -10,7 +10,7 @@ import pytest
 
 from flowsplat.common.errors import InputError
 from flowsplat.priors.given import GivenPriors
-from flowsplat.priors.given.depth import open_depth
+from flowsplat.priors.given.depth import _read_known, open_depth
 from flowsplat.priors.given.flow import read_flow
 from flowsplat.priors.given.truth import consecutive_pairs
 from flowsplat.priors.prepare import use_given
@@ -72,6 +72,16 @@ def test_shape_of_motion_disparity(scene: Scene, tmp_path: Path, suffix: str):
     np.testing.assert_allclose(given.read(4).depth[10:], EXPECTED[10:], rtol=1e-3)
     assert (given.read(4).confidence[:10] == 0).all()
     assert (given.read(4).confidence[10:] == 1).all()
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_no_float32_holds_is_not_known(scene: Scene, tmp_path: Path):
+    values = np.full((scene.height, scene.width), 2.0)
+    values[0, 0], values[0, 1], values[0, 2] = 1e300, -1e300, np.nan
+    np.save(tmp_path / "00000.npy", values)
+    found, known = _read_known(tmp_path / "00000.npy", np.load, 0.0, scene)
+    assert known[0, :4].tolist() == [0, 0, 0, 1]
+    assert np.isfinite(found).all()
 
 
 def test_mosca_depth(scene: Scene, tmp_path: Path):

@@ -146,7 +146,8 @@ def _read_known(path: Path, read_values: Callable[[Path], np.ndarray], least: fl
     require_shape(path, values.shape[1], values.shape[0], scene)
     if not values.size:
         raise InputError(f"{path} holds an empty depth map.")
-    values = values.astype(np.float32)
+    with np.errstate(over="ignore"):  # what is no float32 is not finite then, and not known
+        values = values.astype(np.float32)
     known = np.isfinite(values) & (values > least)
     if not known.any():
         raise InputError(f"{path} holds depths that are not finite and positive, and no others.")
