@@ -62,6 +62,11 @@ class TrainingRun:
         return Measurement(f"{self.protocol}_{name}", self.key, partial(self._measure, out))
 
     @property
+    def tells_costs(self) -> bool:
+        """Whether it also measures the page and the time of an image, which no table of ablations shows."""
+        return self.protocol == "caps"
+
+    @property
     def key(self) -> str:
         """A short name of all its settings."""
         case = self.scene.case
@@ -89,7 +94,7 @@ def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
         (``source_state``), ``test`` (``kind``, ``count``), ``psnr``, ``ssim``, ``lpips`` and ``moving`` (PSNR) of the held-out
         images with strict cameras, ``training_psnr``, ``flow_epe`` and ``flow_prior_epe`` (mean, pixels), ``gaussians``
         (``total``, ``active_mean``), ``page_bytes`` (of ``export --to html``) and ``image_seconds`` (by the clock, the median of
-        the clip's own views), both None of what is no scene, ``seconds`` (``train`` by the clock, ``train_cpu`` of all cores,
+        the clip's own views), both of caps only, ``seconds`` (``train`` by the clock, ``train_cpu`` of all cores,
         ``evaluate``) and ``peak_memory_gib``.
     """
     scene = Scene(path)
@@ -111,7 +116,7 @@ def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
         "training_psnr": pick(metrics, "training_frames", "psnr"),
         **{name: pick(metrics, name, "mean") for name in ("flow_epe", "flow_prior_epe")},
         "gaussians": {"total": total, "active_mean": float(np.mean(counts))},
-        **(_size_and_speed(model, scene) if isinstance(model, SceneModel) else {"page_bytes": None, "image_seconds": None}),
+        **(_size_and_speed(model, scene) if run.tells_costs and isinstance(model, SceneModel) else {}),
         "seconds": {
             "train": round(trained - started, 2), "train_cpu": round(used, 2), "evaluate": round(evaluated - trained, 2),
         },
