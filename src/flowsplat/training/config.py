@@ -134,7 +134,7 @@ class DensityConfig:
     prune_change: Amount = field(default=0.0, metadata=LEFT_OUT_BY_DEFAULT)
     """Gaussians without which the training frames change least are removed once: as many as add no more than this share to the
     squared error in the pixels of their object, or of the background (ours): .01 takes a fifth of the Gaussians and costs .04 dB
-    along the clip's path, .2 from aside. Of strategy ``default``."""
+    along the path (bear, camel, train), .2 from aside (workshop). 0 = none. Of strategy ``default``."""
     prune_after: AtLeastOne = field(default=100, metadata=LEFT_OUT_BY_DEFAULT)
     """Steps after which that is done, and after which the first of those go that ``gaussians`` has no room for."""
     revise: bool = True
@@ -161,7 +161,7 @@ class TrainConfig:
     """Who adds and removes Gaussians, and when."""
     gaussians: Annotated[Count, tyro.conf.arg(aliases=("--gaussians",))] = field(default=0, metadata=LEFT_OUT_BY_DEFAULT)
     """At most this many Gaussians in the end, as good as that allows: up to twice as many are placed, and from
-    ``density.prune_after`` on those that are needed least go, a fifth every 50 steps. 0 = as many as are needed. Of strategy
+    ``density.prune_after`` on those that are needed least go, a fifth every 50 steps. 0 = as many as are placed. Of strategy
     ``default``."""
     frames_per_iteration: Annotated[int, Meta(ge=0, le=10_000)] = 1
     """Frames rendered in a step; their losses are averaged. 0 = all (the paper, read literally)."""
