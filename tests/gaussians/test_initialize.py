@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from flowsplat.gaussians import initialize as initialization
 from flowsplat.gaussians.density import largest_scale
 from flowsplat.gaussians.initialize import choose_frames, initialize
 from flowsplat.gaussians.observations import load_observations
@@ -52,6 +53,17 @@ def test_a_cap_thins_background_and_objects_alike(observations, share):
     # The area of a Gaussian grows as their number falls.
     growth = (largest_scale(capped).median() / largest_scale(free).median()) ** 2
     assert float(growth) == pytest.approx(1 / share, rel=0.35)
+
+
+def test_in_large_frames_gaussians_are_farther_apart(observations, monkeypatch):
+    """Four times the side at which they begin to be, and a power of one half: twice as far apart, a quarter of them."""
+    small = start(observations, 10**6, spacing_growth=0.5)
+    monkeypatch.setattr(initialization, "SPACED_SIDE", max(observations.size) // 4)
+    large, even = (start(observations, 10**6, spacing_growth=growth) for growth in (0.5, 0.0))
+    assert len(even) == len(small), "up to that side nothing grows"
+    for part in (False, True):
+        count = int((even.dynamic == part).sum())
+        assert int((large.dynamic == part).sum()) == pytest.approx(count / 4, rel=0.15)
 
 
 def test_fewer_gaussians_leave_no_holes(observations):

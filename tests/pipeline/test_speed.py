@@ -110,7 +110,7 @@ def test_more_work_is_expected_to_take_longer():
     assert all(large[stage] > small[stage] for stage in STAGES[1:])
     rest = {name: estimate_seconds(scene, config)["rest"] for name, config in CONFIGS.items()}
     assert rest["static"] - rest["plain"] == pytest.approx(0.25 * small["train"])
-    assert rest["final"] - rest["plain"] == pytest.approx(5 * STEPS_A_HELDOUT_FRAME / 2000 * small["train"])
+    assert rest["final"] - rest["plain"] == pytest.approx(5 * STEPS_A_HELDOUT_FRAME / RunConfig().train.iterations * small["train"])
 
 
 def test_what_is_true_costs_nothing(tested):

@@ -23,6 +23,9 @@ from flowsplat.gaussians.surfaces import SurfaceSamples, sample_surface
 from flowsplat.scenes import Tracks
 from flowsplat.splatting.harmonics import harmonics_from_colors
 
+SPACED_SIDE = 480
+"""Pixels of the long side of frames from which on Gaussians are farther apart (``InitConfig.spacing_growth``): that of the rendered
+scenes on which spacings were chosen."""
 BACKGROUND_LOG_LAMBDA = float(np.log(1e-6))
 MIN_TRUSTED_SHARE = 0.05
 """Share of the objects' pixels of a frame: where fewer have trusted depth, all of them are used. Chosen by eye."""
@@ -51,6 +54,9 @@ class InitConfig:
     """Pixels between two background Gaussians on average, 1 or more; a cap makes it larger."""
     foreground_spacing: Annotated[float, Meta(ge=1, le=1_000)] = 1.5
     """The same for objects, in every sampled frame."""
+    spacing_growth: Annotated[float, Meta(ge=0, le=1)] = 0.4
+    """Both are of frames of up to 480 pixels; in larger ones they grow by this power of the long side. 0 = the same in pixels, 1 =
+    as many Gaussians as in small frames."""
     detail: Annotated[float, Meta(ge=0, le=4)] = 1.0
     """How much more of them there are where the image has detail: their density follows its power of this; 0 = evenly."""
     merge_tolerance: Amount = 0.1
@@ -88,6 +94,7 @@ def initialize(
             fit, so that fewer Gaussians are larger and leave no holes; what little is still too much is dropped at random.
     """
     rng = np.random.default_rng(seed)
+    config = _widen(config, (max(observations.size) / SPACED_SIDE) ** config.spacing_growth)
     if not config.from_priors:
         gaussians = _random(observations, model, rng, min(config.random_count, cap))
     else:
@@ -96,9 +103,7 @@ def initialize(
             if len(gaussians) <= cap:
                 break
             # Twice as wide a grid has a quarter of the points.
-            stretch = FITTING_MARGIN * (len(gaussians) / cap) ** 0.5
-            spacings = stretch * config.background_spacing, stretch * config.foreground_spacing
-            config = replace(config, background_spacing=spacings[0], foreground_spacing=spacings[1])
+            config = _widen(config, FITTING_MARGIN * (len(gaussians) / cap) ** 0.5)
             gaussians = _from_priors(observations, tracks, model, config, rng)
     if len(gaussians) > cap:
         keep = np.sort(rng.permutation(len(gaussians))[:cap])
@@ -106,6 +111,14 @@ def initialize(
     if len(gaussians) == 0:
         raise InputError("No Gaussian could be made: the scene has no trusted depth in any training frame.")
     return gaussians
+
+
+def _widen(config: InitConfig, factor: float) -> InitConfig:
+    """Return settings with Gaussians farther apart; never closer together."""
+    factor = max(factor, 1.0)
+    return replace(
+        config, background_spacing=factor * config.background_spacing, foreground_spacing=factor * config.foreground_spacing
+    )
 
 
 def _from_priors(

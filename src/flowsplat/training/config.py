@@ -219,7 +219,7 @@ class TrainConfig:
 
 
 _OURS = TrainConfig(
-    iterations=2000,
+    iterations=1600,
     loss=LossConfig(rigid=0.1, coverage=0.1, rigid_neighbors=10),
     model=ModelConfig(
         mean_poly=4,
@@ -256,7 +256,7 @@ PRESETS: dict[str, TrainConfig] = {
         model=ModelConfig(),
         init=InitConfig(
             foreground="tracks", samples=7, precision_factor=49 / 36, opacity=0.1, surface_aligned=False,
-            background_spacing=2.0, foreground_spacing=1.0, detail=0.0, sample_gap=0, motion_order=2,
+            background_spacing=2.0, foreground_spacing=1.0, spacing_growth=0.0, detail=0.0, sample_gap=0, motion_order=2,
         ),
         rates=RatesConfig(
             means_pixels=0.0, along_ray=1.0, quats=0.001, scales=0.005, opacities=0.05, colors=0.0025, harmonics=0.0025 / 20,

@@ -66,7 +66,7 @@ def test_which_runs(runs_root):
     runs = list(oracle_runs(runs_root, ["tiny"], []))
     assert [run.oracle for run in runs] == list(ORACLES)
     (flow,) = oracle_runs(runs_root, [], ["flow"])
-    assert flow.name == "tiny_flow_default_2000-steps_seed0"
+    assert flow.name == "tiny_flow_default_1600-steps_seed0"
     assert flow.case.config.priors.priors == "own"
     assert flow.case.config.baselines == "simple", "no static scene is trained beside it"
 

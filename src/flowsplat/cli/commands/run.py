@@ -23,7 +23,7 @@ def build(defaults: RunConfig) -> Callable[..., None]:
             input: A video file, a folder of images, a folder with images/ and masks/, a DAVIS root (with --sequence), a
                 rig scene, an NVIDIA Dynamic Scene, or a prepared scene.
             out: Folder for everything that comes out.
-            preset: fast (half size, about two minutes), default, paper (the paper's settings) or high (five times default).
+            preset: fast (half size, about two minutes), default, paper (the paper's settings) or high (ten times default).
             config: All settings.
         """
         from flowsplat import pipeline

@@ -289,8 +289,12 @@ def training(record: Record) -> None:
     )  # fmt: skip
     if small:
         # The interpreter takes an empty tensor that was read from a file for the one that lies behind it there.
-        model = replace(config.train.model, mean_fourier=1, quat_fourier=1)
-        config = replace(config, train=replace(config.train, model=model))
+        train = config.train
+        model, density = (
+            replace(train.model, mean_fourier=1, quat_fourier=1),
+            replace(train.density, max_gaussians=record.count(10**6)),
+        )
+        config = replace(config, train=replace(train, model=model, density=density))
     # Videos are encoded on the processor; how fast images are drawn is another part's.
     plain = replace(config, render=replace(config.render, paths=()))
     record.attempt("street, card", lambda: _whole(given, record.work / "street-card", plain, machine.device()))
