@@ -51,6 +51,23 @@ def test_numbers_that_are_not_finite_are_named(tmp_path, text):
         read_json(written(tmp_path, text))
 
 
+@pytest.mark.parametrize("text", ['"\\ud800"', '{"\\udfff": 1}', '[{"a": ["x\\ud83d"]}]'])
+def test_half_a_character_is_no_text(tmp_path, text):
+    with pytest.raises(InputError, match=r"half a character") as error:
+        read_json(written(tmp_path, text), dict[str, Any])
+    assert str(error.value).isprintable()
+
+
+def test_a_whole_character_of_two_halves_is_text(tmp_path):
+    assert read_json(written(tmp_path, '"\\ud83d\\ude00"')) == "\U0001f600"
+
+
+def test_half_a_character_that_another_reader_let_pass_is_refused(tmp_path):
+    for value in ({**GOOD, "\ud800": 1}, {"\ud800": 1}):
+        with pytest.raises(InputError, match="damaged"):
+            check_json(tmp_path, value, Small)
+
+
 @pytest.mark.parametrize("text", ["[1e999]", "[" + "9" * 5000 + "]", "[-" + "9" * 5000 + "]", "[9007199254740993]"])
 def test_numbers_that_no_float_holds_are_refused(tmp_path, text):
     with pytest.raises(InputError) as error:
