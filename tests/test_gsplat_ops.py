@@ -23,9 +23,7 @@ BINOMIALS = torch.tensor([[math.comb(n, k) for k in range(51)] for n in range(51
 def relocation_of_the_paper(opacity: float, count: int) -> tuple[float, float]:
     """Eq. 9, as it stands there."""
     new = 1 - (1 - opacity) ** (1 / count)
-    total = sum(
-        math.comb(i - 1, k) * (-1) ** k / math.sqrt(k + 1) * new ** (k + 1) for i in range(1, count + 1) for k in range(i)
-    )
+    total = sum(math.comb(i - 1, k) * (-1) ** k / math.sqrt(k + 1) * new ** (k + 1) for i in range(1, count + 1) for k in range(i))
     return new, opacity / total
 
 
@@ -40,7 +38,7 @@ def test_relocation_is_that_of_the_paper(dtype):
         expected, factor = relocation_of_the_paper(opacity, count)
         assert float(new[i]) == pytest.approx(expected, rel=1e-5)
         torch.testing.assert_close(larger[i], factor * scales[i], rtol=1e-5, atol=0)
-    assert torch.equal(new[:1], opacities[:1])
+    torch.testing.assert_close(new[:1], opacities[:1])  # one alone stays as it is
 
 
 def test_no_more_share_a_place_than_there_are_binomials():
@@ -86,11 +84,11 @@ def test_covariances_and_their_inverses(shape, triu):
 
 def test_harmonics_are_orthonormal():
     """Mean over many directions of the product of two of them, times 4 pi."""
-    directions = numbers(200_000, 3)
-    basis = gsplat_ops.spherical_harmonics(4, directions[:, None].expand(-1, 25, 3), torch.eye(25, dtype=torch.float64)[None, :, :, None].expand(len(directions), 25, 25, 3))
-    basis = basis[..., 0]
+    directions = numbers(20_000, 3)
+    one_each = torch.eye(25, dtype=torch.float64)[None, :, :, None].expand(len(directions), 25, 25, 3)
+    basis = gsplat_ops.spherical_harmonics(4, directions[:, None].expand(-1, 25, 3), one_each)[..., 0]
     products = 4 * math.pi * (basis.T @ basis) / len(directions)
-    assert float((products - torch.eye(25, dtype=torch.float64)).abs().max()) < 0.03
+    assert float((products - torch.eye(25, dtype=torch.float64)).abs().max()) < 0.1
 
 
 def test_masks_leave_zeros():
@@ -187,7 +185,7 @@ def test_its_harmonics_are_those_of_its_reference(gsplat, degree):
 def test_its_selective_adam_steps_where_it_may(gsplat):
     param = torch.nn.Parameter(numbers(6, 3).float())
     before = param.detach().clone()
-    optimizer = gsplat.SelectiveAdam([{"params": [param], "lr": 0.1}], eps=1e-15, betas=(0.9, 0.999))
+    optimizer = gsplat.SelectiveAdam([{"params": [param], "lr": 0.001}], eps=1e-15, betas=(0.9, 0.999))
     visible = torch.tensor([True, True, False, True, False, False])
     for _ in range(3):
         (param**2).sum().backward()

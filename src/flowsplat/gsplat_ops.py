@@ -15,6 +15,7 @@ without it. They are computed by torch, on any device, in any float type, and ar
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from collections.abc import Callable
 from importlib import import_module
@@ -121,8 +122,10 @@ def adam(
     b2: float,
     eps: float,
 ) -> None:
-    """Take one step of Adam for some rows, in place, and leave the others and their moments as they are (Taming 3DGS, Mallick et al.
-    2024, https://arxiv.org/abs/2406.15643). As in gsplat's operator the moments are not corrected for having begun at 0.
+    """Take one step of Adam for some rows, in place, and leave the others and their moments as they are.
+
+    That is what Taming 3DGS (Mallick et al. 2024, https://arxiv.org/abs/2406.15643) does with what a camera does not see. As in
+    gsplat's operator the moments are not corrected for having begun at 0.
 
     Args:
         param: [N, ...].
@@ -163,10 +166,8 @@ def install() -> None:
     backend: Any = sys.modules.get("gsplat.cuda._backend")
     if backend is None:
         theirs = getattr(gsplat, "csrc", None)
-        try:
+        with contextlib.suppress(ImportError):
             theirs = theirs or import_module("gsplat.csrc")
-        except ImportError:
-            pass
         gsplat.csrc = _Operators(theirs)  # gsplat looks here first, and compiles nothing where it finds something
         backend = import_module("gsplat.cuda._backend")
     if not hasattr(backend, "_C"):

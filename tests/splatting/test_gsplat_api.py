@@ -402,9 +402,7 @@ def test_depth_alone_needs_no_colors_and_no_background_that_fits(mode):
 def test_sizes_are_any_whole_numbers(number):
     values = {key: tensor.float() for key, tensor in make(degree=1).items()}
     expected = rasterization(**values, width=WIDTH, height=HEIGHT, sh_degree=1)[0]
-    found, _, meta = rasterization(
-        **values, width=number(WIDTH), height=number(HEIGHT), sh_degree=number(1), tile_size=number(16)
-    )
+    found, _, meta = rasterization(**values, width=number(WIDTH), height=number(HEIGHT), sh_degree=number(1), tile_size=number(16))
     assert torch.equal(found, expected)
     assert [type(meta[name]) for name in ("width", "height", "tile_size")] == [int] * 3
 
@@ -538,7 +536,7 @@ def test_harmonics_are_those_of_gsplat(gsplat, degree):
 
 
 def test_radii_and_what_is_culled_are_those_of_gsplat(gsplat):
-    """Of opaque Gaussians: 3.33 sigmas of gsplat's reference are 3.329 where alpha is 1/255, and round up differently now and then."""
+    """Of opaque ones. Its reference reaches to 3.33 sigmas, where alpha is 1/255 at 3.329: some round up differently."""
     from gsplat.cuda._torch_impl import _fully_fused_projection
 
     values = make(cameras=3, count=3000)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 import torch
 
@@ -11,7 +13,7 @@ from flowsplat.splatting.cpu import harmonics
 from tests.splatting.test_gsplat_api import HEIGHT, WIDTH, leaves_of, make
 from tests.splatting.test_rasterize import random_gaussians
 
-REFUSED = "modified by an inplace operation"
+REFUSED = r"modified (by an )?inplace"
 
 
 def draw(leaves, **options):
@@ -41,15 +43,18 @@ def test_no_input_that_is_changed_in_place_has_a_wrong_gradient(with_covars, pac
         loss = draw(leaves, sh_degree=2, packed=packed)
         with torch.no_grad():
             leaves[changed].add_(0.1)
+        problem = ""
         try:
             loss.backward()
         except RuntimeError as error:
-            assert REFUSED in str(error)
+            problem = str(error)
+        if problem:
+            assert re.search(REFUSED, problem)
             refused.add(changed)
             continue
         for name in names:
             assert torch.equal(leaves[name].grad, expected[name].grad), (changed, name)
-    assert refused >= {"means", "viewmats", "Ks", *(("covars",) if with_covars else ("quats", "scales"))}
+    assert refused >= {"means", "viewmats", "Ks", *(() if with_covars else ("quats", "scales"))}  # of covars a triangle is copied
 
 
 @pytest.mark.parametrize("name", ["means2d", "conics"])

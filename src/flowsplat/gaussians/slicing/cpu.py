@@ -325,9 +325,7 @@ class _SliceFunction(torch.autograd.Function):
         ]
         counts = {name: len(ctx.gaussians.rows_of(name, ctx.active)) for name in NAMES}
         results = {name: torch.empty(counts[name], *ctx.gaussians.params[name].shape[1:]) for name in NAMES}
-        parallel_for(
-            _backward, CHUNKS, *inputs, *ctx.settings, means, *arriving, *(result.numpy() for result in results.values())
-        )
+        parallel_for(_backward, CHUNKS, *inputs, *ctx.settings, means, *arriving, *(result.numpy() for result in results.values()))
         ctx.gradients.update(results)
         return None, None, None, None, None
 

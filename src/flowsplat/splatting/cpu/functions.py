@@ -32,8 +32,8 @@ _NO_QUATS, _NO_SCALES = np.zeros((0, 4), np.float32), np.zeros((0, 3), np.float3
 _NO_COVARS = np.zeros((0, 3, 3), np.float32)
 _NO_ABSOLUTE = _NO_SLOPES = np.zeros((0, 2), np.float32)
 
-# What backward reads is kept by ``save_for_backward`` alone: an array that shares the memory of a tensor would follow what is written
-# into it in the meantime, and give a wrong gradient without a word, where torch refuses that.
+# What backward reads is kept by ``save_for_backward`` alone: an array that shares the memory of a tensor would follow what is
+# written into it in the meantime, and give a wrong gradient without a word, where torch refuses that.
 
 
 def _shapes_as_arrays(

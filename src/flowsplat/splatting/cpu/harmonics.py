@@ -72,7 +72,7 @@ def _degree_4_gradient(x, y, z, d):
     x *= inverse
     y *= inverse
     z *= inverse
-    xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
+    xx, yy, zz, xy = x * x, y * y, z * z, x * y
     d16, d17, d18, d19, d20 = S4[0] * d[16], S4[1] * d[17], S4[2] * d[18], S4[3] * d[19], S4[4] * d[20]
     d21, d22, d23, d24 = S4[5] * d[21], S4[6] * d[22], S4[7] * d[23], FOUR * S4[8] * d[24]
     one, three, slope = SEVEN * zz - ONE, SEVEN * zz - THREE, TWENTY_ONE * zz - THREE

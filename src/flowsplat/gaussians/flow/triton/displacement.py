@@ -97,7 +97,9 @@ class _Features(torch.autograd.Function):
         if count:
             block = rows_per_program(count)
             with device_of(gradient):
-                _backward[(triton.cdiv(count, block),)](gradient.contiguous(), next_means.contiguous(), camera, *results, count, BLOCK=block)
+                _backward[(triton.cdiv(count, block),)](
+                    gradient.contiguous(), next_means.contiguous(), camera, *results, count, BLOCK=block
+                )
         return *results, None
 
 
