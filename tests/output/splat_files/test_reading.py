@@ -120,6 +120,23 @@ def test_properties_may_come_in_any_order_and_type(tmp_path, form, order):
     np.testing.assert_allclose(found.log_scales, [[-3, -3, -4]])
 
 
+def test_a_ply_of_another_writer_is_read(tmp_path):
+    plyfile = pytest.importorskip("plyfile", reason="plyfile is not installed")
+    vertices = np.zeros(4, [(name, "f4") for name in (*NAMES, *(f"f_rest_{k}" for k in range(9)))])
+    for k, name in enumerate(vertices.dtype.names):
+        vertices[name] = np.arange(4) + 0.1 * k + 0.1
+    element = plyfile.PlyElement.describe(vertices, "vertex")
+    for order in "<>":
+        plyfile.PlyData([element], byte_order=order, comments=["of another"]).write(tmp_path / "a.ply")
+        found = read_splats(tmp_path / "a.ply")
+        np.testing.assert_array_equal(found.means, np.stack([vertices[name] for name in "xyz"], 1))
+        np.testing.assert_array_equal(found.quats, np.stack([vertices[f"rot_{k}"] for k in range(4)], 1))
+        np.testing.assert_array_equal(found.sh[:, 2], np.stack([vertices[f"f_rest_{k}"] for k in (1, 4, 7)], 1))
+    plyfile.PlyData([element], text=True).write(tmp_path / "a.ply")
+    with pytest.raises(InputError, match="format ascii"):
+        read_splats(tmp_path / "a.ply")
+
+
 def test_harmonics_beyond_degree_3_are_left_out(tmp_path):
     rest = [f"property float f_rest_{k}" for k in range(72)]
     body = np.array([*VALUES, *range(72)], "<f4").tobytes()
