@@ -72,6 +72,27 @@ def test_the_command_renders_a_camera_file(small, file, tmp_path):
     assert source.loaded.state == "trained"
 
 
+def test_a_folder_is_of_one_file(small, file, tmp_path):
+    options = RenderOptions(paths=(), camera_file=tmp_path / "path.json")
+    cameras = splat_file.make_cameras(read_splats(file))
+    write_camera_file(options.camera_file, [(camera.resize(32, 24), 0.1 * t) for t, camera in enumerate(cameras[:3])], 12.0)
+    splat_file.render_splat_file(file, tmp_path / "out", options)
+    frame = tmp_path / "out" / "scene" / "frames" / "00000.png"
+    written = frame.stat().st_mtime_ns
+    splat_file.render_splat_file(file, tmp_path / "out", replace(options, width=32))
+    assert frame.stat().st_mtime_ns == written, "the frames are there and are not drawn again"
+    write_ply(tmp_path / "other" / "scene.ply", make_still(20), has_objects=False)
+    with pytest.raises(InputError, match="belongs to a different input"):
+        splat_file.render_splat_file(tmp_path / "other" / "scene.ply", tmp_path / "out", options)
+
+
+def test_a_camera_file_that_cannot_be_used_is_refused_before_anything_is_drawn(small, file, tmp_path, monkeypatch):
+    monkeypatch.setattr(splat_file.SceneModel, "render", lambda *_: pytest.fail("something is drawn"))
+    (tmp_path / "path.json").write_text("[]")
+    with pytest.raises(InputError, match=r"path\.json cannot be used"):
+        splat_file.render_splat_file(file, tmp_path / "out", RenderOptions(paths=(), camera_file=tmp_path / "path.json"))
+
+
 def test_the_viewer_opens_a_file(small, file, monkeypatch):
     seen = {}
 

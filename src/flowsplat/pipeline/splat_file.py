@@ -13,8 +13,8 @@ import torch
 
 from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import lease
-from flowsplat.common.progress import report
+from flowsplat.common.files import hash_files, lease
+from flowsplat.common.progress import report, track
 from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.model_config import ModelConfig
@@ -22,11 +22,11 @@ from flowsplat.geometry import Camera, Similarity
 from flowsplat.geometry.cameras import MAX_COORDINATE, rigid
 from flowsplat.images.colors import float_to_bytes
 from flowsplat.output.splat_files import Splats, read_splats
-from flowsplat.output.videos import RenderOptions, render_videos
+from flowsplat.output.videos import RenderOptions, render_videos, settle
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import RunFolder
 from flowsplat.scenes import Scene
-from flowsplat.training.checkpoint import save_model
+from flowsplat.training.checkpoint import has_model, load_model, save_model
 
 SECONDS, FRAMES = 8.0, 33
 """Of the clip: how long the cameras take, and how many there are. Chosen by eye."""
@@ -79,33 +79,48 @@ def _middle_and_size(splats: Splats) -> tuple[np.ndarray, float]:
     return middle, size if size > 1 / MAX_COORDINATE else 1.0
 
 
-def open_splat_file(path: Path, folder: Path, device: str = "cpu") -> tuple[SceneModel, Scene]:
-    """Make of a file the folder of a run that the viewer can open.
+def open_splat_file(
+    path: Path, folder: Path, device: str = "cpu", options: RenderOptions | None = None
+) -> tuple[SceneModel, Scene]:
+    """Make of a file the folder of a run that the viewer can open; one that was made of the same file before is taken as it is.
 
     Args:
         path: of the file.
-        folder: empty, or missing.
-        device: what draws the frames.
+        folder: empty, or missing, or of the same file.
+        device: what draws.
+        options: of videos that are to be rendered; None = none are.
 
     Raises:
-        InputError: the file cannot be read, or the folder cannot be used.
+        InputError: the file cannot be read, the folder cannot be used, or the options do not fit; before anything is drawn.
     """
+    with lease(folder):
+        run = RunFolder.open_or_create(folder, str(path), hash_files("splat file", [(Path(path).name, Path(path))]), RunConfig())
+        if not has_model(run.model_path):
+            _fill(run, Path(path), pick_device(device), options)
+        scene = Scene(run.scene_path)
+        if options is not None:
+            settle(scene, options)
+        return load_model(run.model_path).to(pick_device(device)), scene
+
+
+def _fill(run: RunFolder, path: Path, device: torch.device, options: RenderOptions | None) -> None:
+    """Write the scene and, last of all, the model."""
     splats = read_splats(path)
     model, cameras = make_model(splats), make_cameras(splats)
-    run = RunFolder.open_or_create(folder, str(path), "0" * 16, RunConfig())
     scene = Scene.create(
-        run.scene_path, name=Path(path).stem, source=str(path), width=WIDTH, height=HEIGHT,
+        run.scene_path, name=path.stem, source=str(path), width=WIDTH, height=HEIGHT,
         timestamps=np.linspace(0, SECONDS, FRAMES).tolist(), holdout=None, source_fps=24.0,
         notes=["Static Gaussians of a file: what its frames show was drawn and not filmed."],
     )  # fmt: skip
+    if options is not None:
+        settle(scene, options)
     scene.write_cameras(cameras)
     scene.write_similarity(model.similarity)
-    drawn = model.to(pick_device(device))
-    for i, camera in enumerate(cameras):
+    report(f"{path}: {len(splats):,} Gaussians with harmonics of degree {splats.sh_degree}.")
+    drawn = model.to(device)
+    for i, camera in track(list(enumerate(cameras)), "Rendering frames"):
         scene.write_frame(i, float_to_bytes(drawn.render(camera, scene.timestamps[i]).color))
     save_model(run.model_path, model)
-    report(f"{path}: {len(splats):,} Gaussians with harmonics of degree {splats.sh_degree}.")
-    return drawn, Scene(run.scene_path)
 
 
 def render_splat_file(path: Path, out: Path, options: RenderOptions, device: str = "cpu") -> None:
@@ -113,7 +128,7 @@ def render_splat_file(path: Path, out: Path, options: RenderOptions, device: str
 
     Args:
         path: of the file.
-        out: empty, or missing.
+        out: empty, or missing, or of the same file.
         options: which videos; without a camera file they go round the middle.
         device: what computes.
 
@@ -122,7 +137,7 @@ def render_splat_file(path: Path, out: Path, options: RenderOptions, device: str
     """
     if options.object_depth or set(options.parts) != {"all"}:
         raise InputError(f"{path} has no objects: --render.parts and --render.object-depth are for clips.")
-    check(RunConfig(render=options))
-    model, scene = open_splat_file(path, out, device)
+    check(RunConfig(render=options, device=device))  # type: ignore[arg-type]
     with lease(out):
+        model, scene = open_splat_file(path, out, device, options)
         render_videos(model, scene, Path(out) / "renders", options)
