@@ -112,6 +112,9 @@ def test_what_cannot_be_is_refused(small, file, tmp_path):
         main(["render", str(tmp_path), "-o", str(tmp_path / "out")])
     with pytest.raises(SystemExit):
         main(["render", str(tmp_path / "none.ply"), "-o", str(tmp_path / "out")])
+    (tmp_path / "damaged.ply").write_bytes(file.read_bytes()[:-1])
+    with pytest.raises(InputError, match="truncated"):
+        splat_file.render_splat_file(tmp_path / "damaged.ply", tmp_path / "out", RenderOptions())
     assert not (tmp_path / "out").exists()
 
 

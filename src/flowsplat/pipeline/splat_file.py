@@ -15,6 +15,7 @@ from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import hash_files, lease
 from flowsplat.common.progress import report, track
+from flowsplat.common.run_paths import RunPaths
 from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.model_config import ModelConfig
@@ -94,18 +95,20 @@ def open_splat_file(
         InputError: the file cannot be read, the folder cannot be used, or the options do not fit; before anything is drawn.
     """
     with lease(folder):
-        run = RunFolder.open_or_create(folder, str(path), hash_files("splat file", [(Path(path).name, Path(path))]), RunConfig())
-        if not has_model(run.model_path):
-            _fill(run, Path(path), pick_device(device), options)
+        fingerprint = hash_files("splat file", [(Path(path).name, Path(path))])
+        # Read before anything is written: of a damaged file nothing is left.
+        splats = None if has_model(RunPaths(folder).model_path) else read_splats(path)
+        run = RunFolder.open_or_create(folder, str(path), fingerprint, RunConfig())
+        if splats is not None:
+            _fill(run, Path(path), splats, pick_device(device), options)
         scene = Scene(run.scene_path)
         if options is not None:
             settle(scene, options)
         return load_model(run.model_path).to(pick_device(device)), scene
 
 
-def _fill(run: RunFolder, path: Path, device: torch.device, options: RenderOptions | None) -> None:
+def _fill(run: RunFolder, path: Path, splats: Splats, device: torch.device, options: RenderOptions | None) -> None:
     """Write the scene and, last of all, the model."""
-    splats = read_splats(path)
     model, cameras = make_model(splats), make_cameras(splats)
     scene = Scene.create(
         run.scene_path, name=path.stem, source=str(path), width=WIDTH, height=HEIGHT,
