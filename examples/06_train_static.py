@@ -10,6 +10,7 @@ images: where one is not black, something moves, and the pixel counts neither in
 import argparse
 import time
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -46,7 +47,8 @@ for number, kind, *values in filter(None, rows_of("cameras.txt")):
     if kind not in ("PINHOLE", "SIMPLE_PINHOLE"):
         raise SystemExit(f"Cameras must be pinholes, not {kind}: undistort the images (colmap image_undistorter).")
     lenses[number] = numbers if kind == "PINHOLE" else [*numbers[:3], *numbers[2:]]
-views = []
+View = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]  # image, which pixels count, viewmat, K
+views: list[View] = []
 for _, *pose, lens, name in sorted((row for row in rows_of("images.txt")[::2] if row), key=lambda row: row[-1]):
     width, height, fx, fy, cx, cy = lenses[lens]
     image = cv2.imread(str(options.images / name))
@@ -87,7 +89,8 @@ distance = float((means - centers[0]).norm(dim=1).median())
 rates = {"means": 1.6e-4 * distance, "scales": 5e-3, "quats": 1e-3, "opacities": 5e-2, "sh0": 2.5e-3, "shN": 1.25e-4}
 optimizers = {name: torch.optim.Adam([params[name]], lr=rate, eps=1e-15) for name, rate in rates.items()}
 
-strategy, steps = None, options.steps
+strategy: Any = None
+steps = options.steps
 if options.strategy != "none":
     try:
         gsplat_ops.install()  # gsplat's own need a GPU
@@ -104,7 +107,7 @@ if options.strategy != "none":
         print("gsplat is not installed: the number of Gaussians stays as it is")
 
 
-def render(view):
+def render(view: View) -> tuple[torch.Tensor, dict[str, Any]]:
     """The image that a view sees, and what rasterization knows of it."""
     image, _, viewmat, K = view
     images, _, info = rasterization(
@@ -114,11 +117,12 @@ def render(view):
     return images[0], info
 
 
-def measure(some):
+@torch.no_grad()
+def measure(some: list[View]) -> float:
     """PSNR in dB over all pixels that count."""
-    with torch.no_grad():
-        errors = [(((render(view)[0].clamp(0, 1) - view[0]) ** 2 * view[1]).sum(), 3 * view[1].sum()) for view in some]
-    return float(-10 * torch.log10(sum(error for error, _ in errors) / sum(count for _, count in errors)))
+    errors = torch.stack([((render(view)[0].clamp(0, 1) - view[0]) ** 2 * view[1]).sum() for view in some])
+    counts = torch.stack([3 * view[1].sum() for view in some])
+    return float(-10 * torch.log10(errors.sum() / counts.sum()))
 
 
 began = time.perf_counter()

@@ -145,7 +145,7 @@ def adam(
     _check(param_grad=(param_grad, shape), exp_avg=(exp_avg, shape), exp_avg_sq=(exp_avg_sq, shape))
     if valid is not None:
         _check(valid=(valid, (len(param),)))
-    rows = slice(None) if valid is None else torch.nonzero(valid).squeeze(1)
+    rows: Any = slice(None) if valid is None else torch.nonzero(valid).squeeze(1)
     gradient = param_grad[rows]
     mean = b1 * exp_avg[rows] + (1 - b1) * gradient
     square = b2 * exp_avg_sq[rows] + (1 - b2) * gradient * gradient

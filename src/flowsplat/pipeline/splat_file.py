@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from flowsplat.common.devices import pick_device
+from flowsplat.common.devices import DeviceName, pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import hash_files, lease
 from flowsplat.common.progress import report, track
@@ -81,7 +81,7 @@ def _middle_and_size(splats: Splats) -> tuple[np.ndarray, float]:
 
 
 def open_splat_file(
-    path: Path, folder: Path, device: str = "cpu", options: RenderOptions | None = None
+    path: Path, folder: Path, device: DeviceName = "cpu", options: RenderOptions | None = None
 ) -> tuple[SceneModel, Scene]:
     """Make of a file the folder of a run that the viewer can open; one that was made of the same file before is taken as it is.
 
@@ -126,7 +126,7 @@ def _fill(run: RunFolder, path: Path, splats: Splats, device: torch.device, opti
     save_model(run.model_path, model)
 
 
-def render_splat_file(path: Path, out: Path, options: RenderOptions, device: str = "cpu") -> None:
+def render_splat_file(path: Path, out: Path, options: RenderOptions, device: DeviceName = "cpu") -> None:
     """Render videos of a file into a folder, which afterwards is one that ``flowsplat view`` opens.
 
     Args:
@@ -140,7 +140,7 @@ def render_splat_file(path: Path, out: Path, options: RenderOptions, device: str
     """
     if options.object_depth or set(options.parts) != {"all"}:
         raise InputError(f"{path} has no objects: --render.parts and --render.object-depth are for clips.")
-    check(RunConfig(render=options, device=device))  # type: ignore[arg-type]
+    check(RunConfig(render=options, device=device))
     with lease(out):
         model, scene = open_splat_file(path, out, device, options)
         render_videos(model, scene, Path(out) / "renders", options)

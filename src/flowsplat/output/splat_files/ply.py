@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -72,7 +73,7 @@ def read_ply(path: Path) -> Splats:
     return _to_splats(vertices)
 
 
-def _parse_header(path: Path, text: str) -> tuple[int, np.dtype]:
+def _parse_header(path: Path, text: str) -> tuple[int, np.dtype[Any]]:
     """Return how many vertices there are, and the type of one."""
     order, count, fields, is_vertex, elements = "", -1, list[tuple[str, str]](), False, 0
     for line in text.splitlines():

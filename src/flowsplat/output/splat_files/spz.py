@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 import zlib
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import torch
@@ -65,7 +66,7 @@ def read_spz(path: Path) -> Splats:
 class _Unpacker:
     """What gzip has packed, unpacked as far as it is asked for: some bytes may hold gigabytes."""
 
-    def __init__(self, path: Path, file: object):
+    def __init__(self, path: Path, file: BinaryIO):
         self._path, self._file, self._unpacker = path, file, zlib.decompressobj(wbits=31)
 
     def read(self, count: int) -> bytes:
@@ -77,7 +78,7 @@ class _Unpacker:
         data = bytearray()
         try:
             while len(data) < count:
-                packed = self._unpacker.unconsumed_tail or self._file.read(2**16)  # type: ignore[attr-defined]
+                packed = self._unpacker.unconsumed_tail or self._file.read(2**16)
                 if not packed or self._unpacker.eof:
                     raise InputError(f"{self._path} is truncated.")
                 data += self._unpacker.decompress(packed, count - len(data))
