@@ -183,7 +183,8 @@ class _Operators:
         self._theirs = theirs
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
-        ours, theirs = _OPERATORS.get(name), getattr(self._theirs, name, None)
+        ours: Any = _OPERATORS.get(name)
+        theirs: Any = getattr(self._theirs, name, None)
         if ours is None and theirs is None:
             raise AttributeError(f"gsplat's operator {name} needs a GPU: flowsplat.gsplat_ops has {', '.join(_OPERATORS)}")
         if ours is None or theirs is None:

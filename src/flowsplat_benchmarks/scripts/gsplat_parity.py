@@ -175,7 +175,8 @@ def compare_culling() -> str:
     expected = _fully_fused_projection(
         values["means"], covariances(values["quats"], values["scales"]), values["viewmats"], values["Ks"], WIDTH, HEIGHT
     )[0]
-    found = rasterization(**{name: v.float() for name, v in values.items()}, width=WIDTH, height=HEIGHT, packed=False)[2]["radii"]
+    single: dict[str, Any] = {name: value.float() for name, value in values.items()}
+    found = rasterization(**single, width=WIDTH, height=HEIGHT, packed=False)[2]["radii"]
     same, culled = (found == expected).all(-1), ((found > 0) == (expected > 0)).all(-1)
     return (
         f"Of {same.numel():,} opaque Gaussians {int(same.sum()):,} have its radii, and {int(culled.sum()):,} are culled as there."

@@ -52,7 +52,8 @@ class _Project(torch.autograd.Function):
     def backward(ctx: Any, grad_means2d: Tensor | None, grad_conics: Tensor | None, grad_depths: Tensor | None,
                  *_: Any) -> tuple[Tensor | None, ...]:  # fmt: skip
         *given_inputs, radii, conics = ctx.saved_tensors
-        means, quats, scales, covars, *camera = (None if value is None else _ready(value) for value in given_inputs)
+        ready: Any = [None if value is None else _ready(value) for value in given_inputs]
+        means, quats, scales, covars, viewmat, K = ready
         count, device = len(means), means.device
         given = [
             torch.zeros(count, *shape, device=device) if gradient is None else _ready(gradient)
@@ -68,7 +69,7 @@ class _Project(torch.autograd.Function):
         if count > 0:
             with device_of(means):
                 kernels.project_backward[(programs,)](
-                    means, quats, scales, covars, *camera, radii, conics, *given, grad_means, grad_quats,
+                    means, quats, scales, covars, viewmat, K, radii, conics, *given, grad_means, grad_quats,
                     grad_scales, grad_covars, grad_camera, count, *ctx.size, HAS_COVARS=covars is not None,
                     WANTS_CAMERA=wants_camera, BLOCK=block,
                 )  # fmt: skip
