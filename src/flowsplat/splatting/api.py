@@ -137,7 +137,8 @@ def project(
         quats = scales = None
     arguments: Any = (means, quats, scales, covars, opacities, viewmat, K, width, height, near_plane, far_plane, eps2d)
     if name == "reference" or camera_model != "pinhole":
-        means2d, conics, depths, radii = reference.project(*arguments, camera_model=camera_model, radial_coeffs=radial_coeffs)
+        more: Any = (*arguments, camera_model, radial_coeffs)
+        means2d, conics, depths, radii = reference.project(*more)
         extents = None if name == "reference" else _compute_extents(opacities, radii)
         return Projected(means2d, conics, depths, radii, extents, name)
     means2d, conics, depths, radii, extents = _kernels(name).project(*arguments)
