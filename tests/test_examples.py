@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+import importlib.util
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
+import torch
+
+from flowsplat.geometry.cameras import pixel_grid
+from flowsplat.output.export.formats.colmap import write_colmap
+from flowsplat.output.export.still import still_at
+from flowsplat.output.splat_files import read_splats
+from flowsplat.priors.prepare import use_truth
+from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
+from tests.output.small import small_model
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
@@ -68,3 +80,23 @@ def test_code_of_gsplat_users(tmp_path):
     if "gsplat is not installed" not in output:
         assert int(steps[-1][2]) > int(steps[0][2])
     assert (tmp_path / "05_gsplat_users.png").exists()
+
+
+@pytest.mark.parametrize("strategy", ["default", "mcmc"])
+def test_a_static_scene_from_colmap(tmp_path, strategy):
+    """Of a rendered clip, with its own cameras and points near its surfaces."""
+    if importlib.util.find_spec("gsplat") is None:
+        pytest.skip("gsplat is not installed")
+    scene = write_synthetic(tmp_path / "scene", SyntheticScene(width=64, height=48, frames=10), holdout=None)
+    use_truth(scene)
+    model = small_model(resting=500, moving=0)
+    grid = scene.cameras[0].unproject(pixel_grid(64, 48)[::4, ::4].reshape(-1, 2), np.full(192, 1 / scene.similarity.scale))
+    still = replace(still_at(model, model.first), means=torch.from_numpy(grid).float(), sh=torch.zeros(192, 1, 3))
+    write_colmap(tmp_path / "colmap", scene, still)
+    output = run_example(
+        "06_train_static.py", tmp_path / "colmap", tmp_path / "scene", "--masks", tmp_path / "scene" / "masks", "--steps", 60,
+        "--strategy", strategy, "-o", tmp_path,
+    )  # fmt: skip
+    figures = [float(line.split("PSNR ")[1].split()[0]) for line in output.splitlines() if line.startswith("step")]
+    assert figures[-1] > figures[0] + 0.5
+    assert len(read_splats(tmp_path / "06_static.ply")) > 100

@@ -21,12 +21,17 @@ from flowsplat.images.sound import keep_sound
 from flowsplat.images.video import mp4_writer
 from flowsplat.output.camera_files import read_camera_file, write_camera_file
 from flowsplat.output.export import ExportOptions, export_scene
+from flowsplat.output.export.formats.ply import write_ply
+from flowsplat.output.export.formats.splat import write_splat
+from flowsplat.output.export.formats.spz import write_spz
 from flowsplat.output.report import write_report
+from flowsplat.output.splat_files import is_splat_file, read_splats
 from flowsplat.output.tracks import read_queries
 from flowsplat.output.viewer.messages import Gate
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.describe import describe
 from flowsplat.pipeline.folder import RunFolder
+from flowsplat.pipeline.splat_file import make_cameras, make_model
 from flowsplat.pipeline.stages import read_history, read_metrics
 from flowsplat.pipeline.summary import figures_table, report_data
 from flowsplat.priors.given import GivenPriors
@@ -49,6 +54,7 @@ from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 from flowsplat.training.checkpoint import load_checkpoint, load_model, save_model
 from flowsplat.training.trainer import Trainer
 from tests.output.small import small_model
+from tests.output.splat_files.test_reading import make_still
 from tests.priors.given import test_camera_files as cameras_of_others
 from tests.priors.given import test_feedforward_files as networks
 from tests.priors.given import test_map_files as maps_of_others
@@ -100,6 +106,7 @@ def make_originals(root: Path) -> None:
     _given(root / "given")
     _camera_files(root / CAMERAS)
     _messages(root / "messages")
+    _splat_files(root / "splats")
 
 
 def _run(folder: Path) -> None:
@@ -254,6 +261,14 @@ def _messages(folder: Path) -> None:
         (folder / f"{k}.json").write_text(json.dumps(message))
 
 
+def _splat_files(folder: Path) -> None:
+    folder.mkdir()
+    still = make_still(20, degree=1)
+    write_ply(folder / "a.ply", still, has_objects=True, comments=["a scene"])
+    write_splat(folder / "b.splat", still)
+    write_spz(folder / "c.spz", still)
+
+
 # -- reading
 
 
@@ -359,6 +374,14 @@ def _read_queries(folder: Path) -> None:
         read_queries((), folder / name, scene)
 
 
+def _read_splats(folder: Path) -> None:
+    for path in sorted(folder.iterdir()):
+        if is_splat_file(path):
+            splats = read_splats(path)
+            assert all(camera.is_valid for camera in make_cameras(splats))
+            make_model(splats).render(make_cameras(splats)[0].resize(32, 18), 0.0)
+
+
 def _hear(folder: Path) -> None:
     gate = Gate()
     for path in sorted(folder.iterdir()):
@@ -397,6 +420,7 @@ READERS = (
     Reader("images of a scene", "run", tuple(f"scene/{n}/*" for n in ("frames", "masks", "heldout/*", "views")), _read_scene),
     Reader("what is burnt in", "run", ("scene/overlay/*",), _read_scene),
     Reader("model", "run", ("model/*",), _read_model),
+    Reader("static Gaussians", "splats", ("*",), _read_splats),
     Reader("checkpoint to look at", "training", ("training/*",), _read_checkpoint),
     Reader("checkpoint to go on from", "training", ("training/*",), _train_on),
     *(Reader(f"images, {kind}", kind, ("images/*",), _ingest) for kind in ("png", "jpg", "webp", "tif", "bmp")),

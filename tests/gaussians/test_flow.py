@@ -218,6 +218,32 @@ def test_the_kernels_of_the_features_match_their_oracle(model, behind):
     assert used == {"displacement": 5, "affine": 9}[model]
 
 
+@pytest.mark.parametrize("changed", ["means2d", "means", "quats", "scales", "next_means", "next_quats", "colors", "depths"])
+@pytest.mark.parametrize("model", ["displacement", "affine"])
+def test_features_of_what_was_changed_in_place_have_no_wrong_gradient(model, changed):
+    """It is that of what they were made of, or torch refuses it."""
+    view, other = feature_views(False)
+    found, refused = [], False
+    for change in (False, True):
+        leaves = {name: value.requires_grad_() for name, value in feature_inputs().items()}
+        radii = torch.ones(len(leaves["depths"]), 2, dtype=torch.int32)
+        projected = Projected(leaves["means2d"], leaves["means2d"], leaves["depths"], radii, None, "cpu")
+        features = blend_features(slice_of(leaves), projected, view, FlowView(model, other, 0.1))
+        if change:
+            with torch.no_grad():
+                leaves[changed].mul_(1.5)
+        try:
+            (features**2).sum().backward()
+        except RuntimeError as error:
+            refused = "inplace" in str(error)
+        found.append([leaf.grad for leaf in leaves.values()])
+    read_later = {"displacement": ["next_means"], "affine": ["means2d", "means", "quats", "scales", "next_means", "next_quats"]}
+    assert refused == (changed in read_later[model])
+    if not refused:
+        for a, b in zip(*found, strict=True):
+            assert (a is None and b is None) or torch.equal(a, b)
+
+
 def test_flow_image_of_affine_features_is_linear_in_the_pixel():
     features = torch.zeros(4, 6, 6)
     features[..., 0], features[..., 3] = 1.0, 2.0

@@ -85,3 +85,15 @@ def test_without_gradients_nothing_is_kept_for_a_backward_pass():
     for module in (cpu, reference):
         sliced = module.slice_gaussians(gaussians, active, torch.zeros(3), None, None)
         assert not sliced.means.requires_grad
+
+
+@pytest.mark.parametrize("changed", ["means", "quats", "sh", "mean_poly", "log_gains", "of the slice"])
+def test_what_was_changed_in_place_has_no_gradient(changed):
+    """The kernel reads it again: others than were sliced would give a wrong one."""
+    gaussians = random_model(BASE)
+    gaussians.sh_degree = 2
+    sliced = cpu.slice_gaussians(gaussians, gaussians.active(0.5), torch.zeros(3), 0.6, {})
+    with torch.no_grad():
+        (sliced.means if changed == "of the slice" else gaussians.params[changed]).mul_(1.5)
+    with pytest.raises(RuntimeError, match=r"modified by an inplace operation"):
+        sliced.colors.sum().backward()

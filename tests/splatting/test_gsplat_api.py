@@ -6,6 +6,7 @@ import inspect
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 import torch
 
@@ -109,9 +110,9 @@ def test_every_mode_matches_the_oracle(mode, packed):
     assert (meta["width"], meta["height"], meta["n_cameras"], meta["n_batches"]) == (WIDTH, HEIGHT, 3, 1)
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3, 4])
 def test_harmonics_are_seen_from_each_camera(degree):
-    values = make(degree=3)
+    values = make(degree=max(degree, 3))
     expected_leaves, found_leaves = leaves_of(values, torch.float64), leaves_of(values, torch.float32)
     expected = by_hand(expected_leaves, degree=degree)
     images, alphas, _ = rasterization(**found_leaves, width=WIDTH, height=HEIGHT, sh_degree=degree)
@@ -324,7 +325,7 @@ def test_nothing_to_see(packed):
     [
         ("sparse_grad", True),
         ("distributed", True),
-        ("camera_model", "fisheye"),
+        ("camera_model", "ftheta"),
         ("with_ut", True),
         ("with_eval3d", True),
         ("radial_coeffs", torch.zeros(2, 6)),
@@ -335,7 +336,8 @@ def test_nothing_to_see(packed):
         ("viewmats_rs", torch.eye(4).expand(2, 4, 4)),
         ("render_mode", "Depth"),
         ("rasterize_mode", "sharp"),
-        ("sh_degree", 4),
+        ("sh_degree", 5),
+        ("sh_degree", 1.5),
         ("sh_degree", 1),  # colors are no coefficients
         ("means", torch.zeros(60, 2)),
         ("means", torch.zeros(3)),
@@ -351,6 +353,19 @@ def test_nothing_to_see(packed):
         ("covars", torch.zeros(60, 6)),
         ("backgrounds", torch.zeros(2, 4)),
         ("backgrounds", torch.zeros(3)),
+        ("colors", None),
+        ("tile_size", 0),
+        ("width", torch.tensor([4, 4])),
+        ("macro_tile", True),
+        ("return_normals", True),
+        ("global_z_order", False),
+        ("rays", torch.zeros(1)),
+        ("lidar_coeffs", object()),
+        ("external_distortion_coeffs", object()),
+        ("ut_params", object()),
+        ("extra_signals", torch.zeros(60, 2)),
+        ("extra_signals_sh_degree", 3),
+        ("renderer_config", object()),
         ("backend", "cuda"),
     ],
 )
@@ -359,6 +374,76 @@ def test_bad_arguments_are_named(name, value):
     named = "colors" if name == "sh_degree" and value == 1 else name
     with pytest.raises(ValueError, match=named):
         rasterization(**{**values, "width": WIDTH, "height": HEIGHT, name: value})
+
+
+def test_arguments_of_the_next_version_are_taken_at_their_defaults():
+    values = {key: tensor.float() for key, tensor in make().items()}
+    expected = rasterization(**values, width=WIDTH, height=HEIGHT)[0]
+    defaults = {
+        "macro_tile": False, "return_normals": False, "global_z_order": True, "rays": None, "lidar_coeffs": None,
+        "external_distortion_coeffs": None, "ut_params": None, "extra_signals": None, "extra_signals_sh_degree": None,
+        "renderer_config": None, "tile_size": None,
+    }  # fmt: skip
+    assert torch.equal(rasterization(**values, width=WIDTH, height=HEIGHT, **defaults)[0], expected)
+
+
+@pytest.mark.parametrize("mode", ["D", "ED"])
+def test_depth_alone_needs_no_colors_and_no_background_that_fits(mode):
+    values = {key: tensor.float() for key, tensor in make().items()}
+    expected = rasterization(**values, width=WIDTH, height=HEIGHT, render_mode=mode)[0]
+    for change in ({"colors": None}, {"colors": None, "sh_degree": 2}, {"backgrounds": torch.ones(5)}):
+        found = rasterization(**{**values, "width": WIDTH, "height": HEIGHT, "render_mode": mode, **change})[0]
+        assert torch.equal(found, expected)
+    with pytest.raises(ValueError, match=r"backgrounds must be \[2, 3\]"):
+        rasterization(**values, width=WIDTH, height=HEIGHT, render_mode="RGB+D", backgrounds=torch.ones(5))
+
+
+@pytest.mark.parametrize("number", [torch.tensor, np.int64, np.array])
+def test_sizes_are_any_whole_numbers(number):
+    values = {key: tensor.float() for key, tensor in make(degree=1).items()}
+    expected = rasterization(**values, width=WIDTH, height=HEIGHT, sh_degree=1)[0]
+    found, _, meta = rasterization(**values, width=number(WIDTH), height=number(HEIGHT), sh_degree=number(1), tile_size=number(16))
+    assert torch.equal(found, expected)
+    assert [type(meta[name]) for name in ("width", "height", "tile_size")] == [int] * 3
+
+
+def test_meta_tells_how_many_tiles_there_are():
+    values = {key: tensor.float() for key, tensor in make().items()}
+    for tile_size, columns, rows in ((None, 3, 2), (8, 5, 4), (40, 1, 1)):
+        meta = rasterization(**values, width=WIDTH, height=HEIGHT, tile_size=tile_size)[2]
+        assert (meta["tile_size"], meta["tile_width"], meta["tile_height"]) == (tile_size or 16, columns, rows)
+
+
+def test_the_upper_triangle_of_covariances_is_read():
+    values = leaves_of(make(), torch.float32)
+    covars = covariances(values.pop("quats"), values.pop("scales")).detach()
+    others = {**values, "quats": None, "scales": None, "width": WIDTH, "height": HEIGHT}
+    expected = rasterization(**others, covars=covars)[0]
+    lower = torch.ones(3, 3).tril(-1).bool()
+    spoiled = torch.where(lower, torch.rand(60, 3, 3), covars).requires_grad_()
+    found = rasterization(**others, covars=spoiled)[0]
+    assert torch.equal(found, expected)
+    functional(found).backward()
+    assert float(spoiled.grad[:, lower].abs().max()) == 0
+    assert float(spoiled.grad[:, 0, 1].abs().max()) > 0
+
+
+@pytest.mark.parametrize("backend", ["reference", "cpu"])
+def test_whole_pixels_of_a_radius_decide_what_is_culled(backend):
+    """An opaque dot has half widths of 1.82 pixels, which count as 2: gsplat's rule."""
+    dtype = torch.float64 if backend == "reference" else torch.float32
+    places = [(-1.9, 10), (-2.1, 10), (41.9, 10), (42.1, 10), (20, -1.9), (20, -2.1), (20, 28.9), (20, 29.1)]
+    pixels = torch.tensor(places, dtype=dtype)
+    means = torch.cat([(pixels - torch.tensor([20, 13.5], dtype=dtype)) / 10, torch.ones(8, 1, dtype=dtype)], 1).requires_grad_()
+    images, _, meta = rasterization(
+        means, torch.tensor([[1.0, 0, 0, 0]], dtype=dtype).expand(8, 4), torch.full((8, 3), 1e-6, dtype=dtype),
+        torch.ones(8, dtype=dtype), torch.ones(8, 3, dtype=dtype), torch.eye(4, dtype=dtype)[None],
+        torch.tensor([[[10.0, 0, 20], [0, 10, 13.5], [0, 0, 1]]], dtype=dtype), WIDTH, HEIGHT, packed=False, backend=backend,
+    )  # fmt: skip
+    assert meta["radii"][0].tolist() == [[2, 2], [0, 0]] * 4
+    assert float(images.detach().abs().max()) == 0
+    images.sum().backward()
+    assert float(means.grad.abs().max()) == 0
 
 
 def test_coefficients_must_suffice():
@@ -389,7 +474,10 @@ def gsplat():
 def test_names_order_and_defaults_are_those_of_gsplat(gsplat):
     theirs = inspect.signature(gsplat.rasterization).parameters
     ours = inspect.signature(rasterization).parameters
-    assert list(ours) == [*theirs, "backend"]
+    later = list(ours)[len(theirs) :]  # of gsplat's next version, and ours
+    assert list(ours) == [*theirs, *later]
+    assert all(ours[name].kind == inspect.Parameter.KEYWORD_ONLY for name in later)
+    assert later[-1] == "backend"
     for name, parameter in theirs.items():
         assert ours[name].kind == parameter.kind
         if name != "rolling_shutter":
@@ -415,7 +503,7 @@ def test_projection_is_that_of_gsplat(gsplat, mode):
     _, _, meta = rasterization(**ours, width=WIDTH, height=HEIGHT, packed=False, rasterize_mode=mode)
     visible = (meta["radii"] > 0).all(-1)
     assert bool((radii[visible] > 0).all())
-    assert bool((meta["radii"] <= radii + 1)[visible].all())
+    assert bool((meta["radii"] <= radii)[visible].all())
     opacities = theirs["opacities"] * (compensations if mode == "antialiased" else torch.ones_like(compensations))
     expected = [x[visible] for x in (means2d, depths, conics, opacities)]
     found = [meta[name][visible] for name in ("means2d", "depths", "conics", "opacities")]
@@ -427,12 +515,12 @@ def test_projection_is_that_of_gsplat(gsplat, mode):
         assert relative(ours[name].grad, theirs[name].grad) < 2e-4, name
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3, 4])
 def test_harmonics_are_those_of_gsplat(gsplat, degree):
     from gsplat.cuda._torch_impl import _spherical_harmonics
 
     g = torch.Generator().manual_seed(4)
-    sh, directions = torch.randn(50, 16, 3, generator=g).double(), torch.randn(50, 3, generator=g).double()
+    sh, directions = torch.randn(50, 25, 3, generator=g).double(), torch.randn(50, 3, generator=g).double()
     results = []
     for function in (
         lambda s, d: torch.clamp_min(_spherical_harmonics(degree, d, s) + 0.5, 0.0),
@@ -445,3 +533,21 @@ def test_harmonics_are_those_of_gsplat(gsplat, degree):
         results.append((colors, leaves[0].grad, torch.zeros(50, 3) if slope is None else slope))
     for a, b in zip(*results, strict=True):
         torch.testing.assert_close(a.double(), b.double(), rtol=1e-6, atol=1e-7)
+
+
+def test_radii_and_what_is_culled_are_those_of_gsplat(gsplat):
+    """Of opaque ones. Its reference reaches to 3.33 sigmas, where alpha is 1/255 at 3.329: some round up differently."""
+    from gsplat.cuda._torch_impl import _fully_fused_projection
+
+    values = make(cameras=3, count=3000)
+    values["opacities"][:] = 1
+    covars = covariances(values["quats"], values["scales"])
+    radii, _, _, conics, _ = _fully_fused_projection(values["means"], covars, values["viewmats"], values["Ks"], WIDTH, HEIGHT)
+    meta = rasterization(**values, width=WIDTH, height=HEIGHT, packed=False, backend="reference")[2]
+    a, b, c = conics.unbind(-1)
+    half = 3.33 * torch.sqrt(torch.stack([c, a], -1) / (a * c - b * b)[..., None])
+    unclear = (half - 0.001 * half).ceil() != half.ceil()
+    clear = ~unclear.any(-1)
+    assert float(clear.double().mean()) > 0.9
+    assert 0.1 < float((radii[clear] > 0).double().mean()) < 0.9
+    assert torch.equal(meta["radii"][clear], radii[clear])

@@ -1,4 +1,4 @@
-"""``rasterization`` under gsplat's DefaultStrategy, as its users train."""
+"""``rasterization`` under gsplat's own strategies, as its users train: they are unchanged, with our operators in MCMC's place."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import re
 import pytest
 import torch
 
+from flowsplat import gsplat_ops
 from flowsplat.splatting import rasterization
 from tests.splatting.test_gsplat_api import HEIGHT, WIDTH, functional, leaves_of, make
 
@@ -26,9 +27,11 @@ def textured(width: int, height: int) -> torch.Tensor:
     return 0.5 + 0.4 * torch.stack([rings, torch.sign(torch.sin(40 * u) * torch.sin(55 * v)), stripes], -1)
 
 
-def fit(width, height, count, steps, *, refine=True, cameras=1, packed=True, absgrad=False, backend="auto", **settings):
-    """Fit the image with gsplat's DefaultStrategy, as its users write it. Returns PSNR and the number of Gaussians over time."""
-    from gsplat.strategy import DefaultStrategy
+def fit(
+    width, height, count, steps, *, refine=True, cameras=1, packed=True, absgrad=False, backend="auto", kind="default", **settings
+):
+    """Fit the image with a strategy of gsplat, as its users write it. Returns PSNR and the number of Gaussians over time."""
+    from gsplat.strategy import DefaultStrategy, MCMCStrategy
 
     torch.manual_seed(0)
     target = textured(width, height)
@@ -46,7 +49,8 @@ def fit(width, height, count, steps, *, refine=True, cameras=1, packed=True, abs
     )
     rates = {"means": 2e-3, "scales": 1e-2, "quats": 1e-2, "opacities": 5e-2, "colors": 2.5e-2}
     optimizers = {name: torch.optim.Adam([params[name]], lr=rate, eps=1e-15) for name, rate in rates.items()}
-    strategy = DefaultStrategy(absgrad=absgrad, verbose=True, **settings)
+    is_default = kind == "default"
+    strategy = DefaultStrategy(absgrad=absgrad, verbose=True, **settings) if is_default else MCMCStrategy(verbose=True, **settings)
     strategy.check_sanity(params, optimizers)
     state, counts = strategy.initialize_state(), []
     for step in range(steps):
@@ -54,7 +58,7 @@ def fit(width, height, count, steps, *, refine=True, cameras=1, packed=True, abs
             params["means"], params["quats"], params["scales"].exp(), params["opacities"].sigmoid(),
             params["colors"].sigmoid(), viewmats, Ks, width, height, packed=packed, absgrad=absgrad, backend=backend,
         )  # fmt: skip
-        if refine:
+        if refine and is_default:
             strategy.step_pre_backward(params, optimizers, state, step, info)
         error = images - target
         (error.abs().mean() + 0.01 * params["opacities"].sigmoid().mean()).backward()
@@ -62,7 +66,8 @@ def fit(width, height, count, steps, *, refine=True, cameras=1, packed=True, abs
             optimizer.step()
             optimizer.zero_grad(set_to_none=True)
         if refine:
-            strategy.step_post_backward(params, optimizers, state, step, info, packed=packed)
+            last = {"packed": packed} if is_default else {"lr": rates["means"]}
+            strategy.step_post_backward(params, optimizers, state, step, info, **last)
         counts.append(len(params["means"]))
     return -10 * float((error.detach() ** 2).mean().log10()), counts
 
@@ -101,6 +106,25 @@ def test_default_strategy_counts_every_camera(gsplat):
         ]  # fmt: skip
         assert torch.equal(state["count"], torch.stack(per_camera).sum(0).float())
         assert bool((state["grad2d"] > 0).any())
+
+
+def test_mcmc_strategy_adds_and_moves(gsplat, without_growth):
+    gsplat_ops.install()
+    settings = {"refine_start_iter": 80, "refine_every": 20, "cap_max": 500, "noise_lr": 1e3}
+    psnr, counts = fit(96, 64, 400, 200, cameras=2, kind="mcmc", **settings)
+    assert counts[99] == 400 < counts[100] < counts[-1] == 500
+    assert psnr > without_growth
+
+
+@pytest.mark.slow
+def test_mcmc_strategy_ends_where_the_oracle_does(gsplat):
+    gsplat_ops.install()
+    settings = {"refine_start_iter": 100, "refine_every": 50, "cap_max": 500, "noise_lr": 1e3, "kind": "mcmc"}
+    found, counts = fit(64, 64, 300, 400, **settings)
+    expected, expected_counts = fit(64, 64, 300, 400, backend="reference", **settings)
+    print(f"kernels {found:.2f} dB, oracle {expected:.2f} dB")
+    assert counts[-1] == expected_counts[-1] > 350
+    assert abs(found - expected) < 1
 
 
 @pytest.mark.slow

@@ -10,9 +10,10 @@ import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.gaussians.density import DensityResult
+from flowsplat.splatting.relocation import share_place
 from flowsplat.training.checkpoint import read_tensors, write_tensors
 from flowsplat.training.strategies import STRATEGIES
-from flowsplat.training.strategies.mcmc import GROWTH, MCMCStrategy, share_place
+from flowsplat.training.strategies.mcmc import GROWTH, MCMCStrategy
 from flowsplat.training.trainer import Trainer
 from tests.training.handful import a_few, seen, tiny
 

@@ -347,8 +347,13 @@ def test_a_checkpoint_with_what_kernels_would_read_or_write_beside_is_refused(tm
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("queue", [0, 10**6]), ("queue", ["a"]), ("step", -1), ("rng", {"state": 1}), ("history", 3)]
-)
+    ("name", "value"),
+    [
+        ("queue", [0, 10**6]), ("queue", ["a"]), ("step", -1), ("rng", {"state": 1}), ("history", 3), ("recent", [{"loss": None}]),
+        ("history", [{"step": 10.0, "psnr": None}]), ("history", [{"step": 10.0, "loss": 0.5}]), ("config", {"\ud800": 1}),
+        ("rng", {"bit_generator": "\ud800"}),
+    ],
+)  # fmt: skip
 def test_a_checkpoint_with_other_values_than_it_can_have_is_refused(tmp_path, name, value):
     config = replace(tiny("default"), iterations=4, checkpoint_every=3)
     start = a_few(config)

@@ -54,7 +54,7 @@ def upload(folder: Path, url: str) -> str:
     if system.exists(manifest):
         try:
             there = dict(json.loads(system.cat_file(manifest))["files"])
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             there = {}
         if there == wanted:
             return f"{url.rstrip('/')}/{folder.name}"

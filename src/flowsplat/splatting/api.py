@@ -11,8 +11,9 @@ from torch import Tensor
 from flowsplat.common.devices import Kernels, kernels_on
 from flowsplat.common.triton import check_runs
 from flowsplat.splatting import reference
-from flowsplat.splatting.arguments import Array, check_numbers, check_size, to_tensors
-from flowsplat.splatting.rules import EPS2D, FAR_PLANE, NEAR_PLANE, SLOPED_FEATURES
+from flowsplat.splatting.arguments import Array, check_numbers, to_pixels, to_tensors
+from flowsplat.splatting.camera_models import CAMERA_MODELS, FISHEYE_COEFFICIENTS, CameraModel
+from flowsplat.splatting.rules import ALPHA_MIN, EPS2D, FAR_PLANE, NEAR_PLANE, OPACITY_FLOOR, SLOPED_FEATURES
 
 BackendName = Literal["auto", "cpu", "triton", "reference"]
 
@@ -106,9 +107,15 @@ def project(
     near_plane: float = NEAR_PLANE,
     far_plane: float = FAR_PLANE,
     eps2d: float = EPS2D,
+    camera_model: CameraModel = "pinhole",
+    radial_coeffs: Tensor | None = None,
     backend: BackendName = "auto",
 ) -> Projected:
-    """Project 3D Gaussians to 2D ones (the first half of ``rasterize``, same arguments)."""
+    """Project 3D Gaussians to 2D ones (the first half of ``rasterize``, same arguments).
+
+    Cameras other than pinholes, too, with the ``radial_coeffs`` [4] of a fisheye (``camera_models``): those have no kernels and are
+    computed by torch, in the type of the Gaussians.
+    """
     count = len(means)
     if means.shape != (count, 3):
         raise ValueError(f"means must be [N, 3], not {list(means.shape)}")
@@ -121,14 +128,27 @@ def project(
         raise ValueError(f"opacities must be [N], not {list(opacities.shape)}")
     if viewmat.shape != (4, 4) or K.shape != (3, 3):
         raise ValueError("viewmat must be [4, 4] and K [3, 3]")
+    if camera_model not in CAMERA_MODELS:
+        raise ValueError(f"camera_model must be one of {', '.join(CAMERA_MODELS)}, not {camera_model!r}")
+    if radial_coeffs is not None and (camera_model != "fisheye" or radial_coeffs.shape != (FISHEYE_COEFFICIENTS,)):
+        raise ValueError(f"radial_coeffs must be the [{FISHEYE_COEFFICIENTS}] of a fisheye, not {list(radial_coeffs.shape)}")
     name = _pick(backend, means)
     if covars is not None:
         quats = scales = None
     arguments: Any = (means, quats, scales, covars, opacities, viewmat, K, width, height, near_plane, far_plane, eps2d)
-    if name == "reference":
-        return Projected(*reference.project(*arguments), None, name)
+    if name == "reference" or camera_model != "pinhole":
+        more: Any = (*arguments, camera_model, radial_coeffs)
+        means2d, conics, depths, radii = reference.project(*more)
+        extents = None if name == "reference" else _compute_extents(opacities, radii)
+        return Projected(means2d, conics, depths, radii, extents, name)
     means2d, conics, depths, radii, extents = _kernels(name).project(*arguments)
     return Projected(means2d, conics, depths, radii, extents, name)
+
+
+@torch.no_grad()
+def _compute_extents(opacities: Tensor, radii: Tensor) -> Tensor:
+    """Return what the kernels of a projection do: the squared sigmas [N] within which a Gaussian is drawn, 0 where it is culled."""
+    return torch.where(radii[:, 0] > 0, 2 * torch.log(opacities.clamp(min=OPACITY_FLOOR) / ALPHA_MIN), torch.zeros_like(opacities))
 
 
 def blend(
@@ -155,7 +175,7 @@ def blend(
             Gaussian's center. Ours; None = every feature is the same all over a Gaussian. Not with ``absgrad``.
 
     Returns:
-        features [H, W, C] on black and alphas [H, W].
+        features [H, W, C] on black, which nothing may be written into before backward, and alphas [H, W].
 
     Raises:
         ValueError: a shape does not fit, or ``absgrad`` is asked for with slopes.
@@ -238,7 +258,7 @@ def rasterize(
         >>> [round(value, 2) for value in image[6, 8].tolist()], bool(image[0, 0].any())
         ([0.74, 0.0, 0.0], False)
     """
-    check_size(width, height)
+    width, height = to_pixels("width", width), to_pixels("height", height)
     check_numbers(near_plane=near_plane, far_plane=far_plane, eps2d=eps2d)
     given = to_tensors(
         means=means, quats=quats, scales=scales, opacities=opacities, features=features, viewmat=viewmat, K=K, covars=covars,
@@ -252,5 +272,7 @@ def rasterize(
     image, alphas = blend(projected, given["opacities"], colors, width, height)
     if behind is not None:
         image = image + (1 - alphas)[..., None] * behind
+    elif image.requires_grad:
+        image = image.clone()  # backward reads what ``blend`` returns, and whoever masks an image writes into it
     info = {name: getattr(projected, name) for name in ("means2d", "conics", "depths", "radii")}
     return image, alphas, info

@@ -48,15 +48,19 @@ def _to_tensor(name: str, value: Any, like: Tensor) -> Tensor:
     return torch.tensor(array.astype(np.float64), dtype=like.dtype, device=like.device)
 
 
-def check_size(width: Any, height: Any) -> None:
-    """Raise a ValueError that names the first of both that is no number of pixels."""
-    for name, value in (("width", width), ("height", height)):
-        try:
-            is_size = operator.index(value) >= 1
-        except TypeError:
-            is_size = False
-        if not is_size:
-            raise ValueError(f"{name} must be a whole number of pixels from 1 on, not {value!r:.40}")
+def to_pixels(name: str, value: Any) -> int:
+    """Return a number of pixels, given as anything that is a whole number, a tensor [] too, as Python's own.
+
+    Raises:
+        ValueError: it is none.
+    """
+    try:
+        pixels = operator.index(value)
+    except (TypeError, ValueError):  # a tensor of several numbers is no index, either
+        pixels = 0
+    if pixels < 1:
+        raise ValueError(f"{name} must be a whole number of pixels from 1 on, not {value!r:.40}")
+    return pixels
 
 
 def check_numbers(**values: Any) -> None:

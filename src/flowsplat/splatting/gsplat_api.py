@@ -1,13 +1,14 @@
 """gsplat's ``rasterization`` on the CPU, so that its users change one import: ``from flowsplat import rasterization``.
 
 A thin layer over ``project`` and ``blend``, one camera after the other. Names, shapes, defaults and return values are those of
-gsplat 1.5 (https://docs.gsplat.studio/main/apis/rasterization.html); what is not covered raises a ValueError that names the
-argument.
+gsplat 1.5 (https://docs.gsplat.studio/main/apis/rasterization.html), and by name those that its next version adds; what is not
+covered raises a ValueError that names the argument.
 """
 
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,13 +18,14 @@ import torch
 from torch import Tensor
 
 from flowsplat.splatting.api import BackendName, Projected, blend, check_finite, project
-from flowsplat.splatting.arguments import Array, check_numbers, check_size, to_tensors
-from flowsplat.splatting.harmonics import colors_from_harmonics, harmonics_count
+from flowsplat.splatting.arguments import Array, check_numbers, to_pixels, to_tensors
+from flowsplat.splatting.camera_models import CAMERA_MODELS, FISHEYE_COEFFICIENTS, CameraModel
+from flowsplat.splatting.harmonics import MAX_DEGREE, colors_from_harmonics, harmonics_count
 from flowsplat.splatting.rules import EPS2D, FAR_PLANE, NEAR_PLANE
 
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
-MAX_DEGREE = 3
-"""Of spherical harmonics."""
+_TILE_SIZE = 16
+"""Pixels. gsplat's default."""
 _GEOMETRY = ("means2d", "conics", "depths", "radii")
 """Of a projection, what is in meta."""
 # Below this the compensated opacity is under 1/255 whatever it was: nothing is drawn, and a root has no slope at 0.
@@ -36,7 +38,7 @@ def rasterization(
     quats: Array | None,
     scales: Array | None,
     opacities: Array,
-    colors: Array,
+    colors: Array | None,
     viewmats: Array,
     Ks: Array,
     width: int,
@@ -47,7 +49,7 @@ def rasterization(
     eps2d: float = EPS2D,
     sh_degree: int | None = None,
     packed: bool = True,
-    tile_size: int = 16,
+    tile_size: int | None = _TILE_SIZE,
     backgrounds: Array | None = None,
     render_mode: RenderMode = "RGB",
     sparse_grad: bool = False,
@@ -60,13 +62,23 @@ def rasterization(
     covars: Array | None = None,
     with_ut: bool = False,
     with_eval3d: bool = False,
-    radial_coeffs: Tensor | None = None,
+    radial_coeffs: Array | None = None,
     tangential_coeffs: Tensor | None = None,
     thin_prism_coeffs: Tensor | None = None,
     ftheta_coeffs: Any = None,
     rolling_shutter: Any = None,
     viewmats_rs: Tensor | None = None,
     *,
+    macro_tile: bool = False,
+    return_normals: bool = False,
+    global_z_order: bool = True,
+    rays: Tensor | None = None,
+    lidar_coeffs: Any = None,
+    external_distortion_coeffs: Any = None,
+    ut_params: Any = None,
+    extra_signals: Tensor | None = None,
+    extra_signals_sh_degree: int | None = None,
+    renderer_config: Any = None,
     backend: BackendName = "auto",
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
     """Render N Gaussians into C cameras, differentiable in everything (``Ks`` too). Leading ``...`` are batch dimensions.
@@ -78,18 +90,19 @@ def rasterization(
         quats: [..., N, 4] wxyz, any length; ignored with ``covars``.
         scales: [..., N, 3] standard deviations; ignored with ``covars``.
         opacities: [..., N] between 0 and 1.
-        colors: [..., (C,) N, D] colors or any features; with ``sh_degree`` [..., (C,) N, K, 3] harmonics coefficients.
+        colors: [..., (C,) N, D] colors or any features; with ``sh_degree`` [..., (C,) N, K, 3] harmonics coefficients. None where
+            ``render_mode`` asks for depth alone.
         viewmats: [..., C, 4, 4] world to camera, OpenCV axes.
-        Ks: [..., C, 3, 3] pixels; the center of the top-left pixel is (0.5, 0.5).
+        Ks: [..., C, 3, 3] pixels; the center of the top-left pixel is (0.5, 0.5). Of ``ortho``, pixels for one unit of length.
         width: pixels.
         height: pixels.
         near_plane: Gaussians nearer are culled.
         far_plane: Gaussians farther are culled.
         radius_clip: Gaussians whose half width and half height in pixels are both at most this are culled.
         eps2d: px^2 added to every 2D covariance.
-        sh_degree: 0 to 3: how many bands of ``colors`` count. None: ``colors`` are colors.
+        sh_degree: 0 to 4: how many bands of ``colors`` count. None: ``colors`` are colors.
         packed: meta holds what is visible, as [nnz, ...], and not [..., C, N, ...].
-        tile_size: accepted, without effect.
+        tile_size: pixels; ``meta`` tells how many such tiles there are, and nothing else depends on it. None = 16.
         backgrounds: [..., C, D] seen where alpha < 1; depth has none. None = zeros.
         render_mode: ``RGB`` gives ``colors``, ``D`` depth as it accumulates, ``ED`` depth divided by alpha; or both.
         sparse_grad: refused: gradients are dense.
@@ -98,17 +111,28 @@ def rasterization(
             covariance (Mip-Splatting, https://arxiv.org/abs/2311.16493).
         channel_chunk: accepted, without effect.
         distributed: refused.
-        camera_model: ``pinhole``; others are refused.
+        camera_model: ``pinhole``, ``ortho`` or ``fisheye``, the last two computed by torch; others are refused.
         segmented: accepted, without effect.
-        covars: [..., N, 3, 3] covariances in place of quats and scales.
+        covars: [..., N, 3, 3] covariances in place of quats and scales; of each the upper triangle is read, as gsplat does.
         with_ut: refused.
         with_eval3d: refused.
-        radial_coeffs: refused, as is every lens distortion.
-        tangential_coeffs: refused.
+        radial_coeffs: [..., C, 4] of a fisheye (OpenCV's k1 to k4); refused with other cameras. gsplat has them with ``with_ut``.
+        tangential_coeffs: refused, as is every other lens distortion.
         thin_prism_coeffs: refused.
         ftheta_coeffs: refused.
         rolling_shutter: None or gsplat's GLOBAL; others are refused.
         viewmats_rs: refused.
+        macro_tile: refused, as are all arguments after it but ``backend``, unless they are at their defaults: gsplat's next
+            version has them.
+        return_normals: refused.
+        global_z_order: refused unless True: Gaussians are sorted by planar depth.
+        rays: refused.
+        lidar_coeffs: refused.
+        external_distortion_coeffs: refused.
+        ut_params: refused.
+        extra_signals: refused: give them as more channels of ``colors``.
+        extra_signals_sh_degree: refused.
+        renderer_config: refused.
         backend: ``cpu``, ``triton`` (a GPU; float32 both), ``reference`` (the oracle: any float type, slow) or ``auto``. Not in
             gsplat.
 
@@ -116,7 +140,8 @@ def rasterization(
         colors [..., C, H, W, D, D + 1 or 1]; alphas [..., C, H, W, 1]; and meta, a dict with ``means2d`` (call
         ``retain_grad()`` on it before backward), ``conics``, ``depths``, ``radii`` (0 where culled), ``opacities`` (as drawn),
         ``batch_ids``, ``camera_ids`` and ``gaussian_ids`` [nnz] int64 (None unless packed), ``width``, ``height``,
-        ``n_cameras`` and ``n_batches``. gsplat's lists of tiles are not there.
+        ``tile_size``, ``tile_width`` and ``tile_height`` (numbers of tiles), ``n_cameras`` and ``n_batches``. gsplat's lists of
+        tiles are not there.
 
     Raises:
         ValueError: a shape does not fit, a value is not finite, or an argument asks for what is not covered.
@@ -135,33 +160,54 @@ def rasterization(
     _refuse_uncovered(
         sparse_grad=sparse_grad,
         distributed=distributed,
-        camera_model=camera_model != "pinhole",
+        camera_model=camera_model not in CAMERA_MODELS,
         with_ut=with_ut,
         with_eval3d=with_eval3d,
-        radial_coeffs=radial_coeffs is not None,
+        radial_coeffs=radial_coeffs is not None and camera_model != "fisheye",
         tangential_coeffs=tangential_coeffs is not None,
         thin_prism_coeffs=thin_prism_coeffs is not None,
         ftheta_coeffs=ftheta_coeffs is not None,
         rolling_shutter=rolling_shutter is not None and getattr(rolling_shutter, "name", "") != "GLOBAL",
         viewmats_rs=viewmats_rs is not None,
+        macro_tile=macro_tile,
+        return_normals=return_normals,
+        global_z_order=not global_z_order,
+        rays=rays is not None,
+        lidar_coeffs=lidar_coeffs is not None,
+        external_distortion_coeffs=external_distortion_coeffs is not None,
+        ut_params=ut_params is not None,
+        extra_signals=extra_signals is not None,
+        extra_signals_sh_degree=extra_signals_sh_degree is not None,
+        renderer_config=renderer_config is not None,
     )
     if render_mode not in ("RGB", "D", "ED", "RGB+D", "RGB+ED"):
         raise ValueError(f"render_mode must be RGB, D, ED, RGB+D or RGB+ED, not {render_mode!r}")
     if rasterize_mode not in ("classic", "antialiased"):
         raise ValueError(f"rasterize_mode must be classic or antialiased, not {rasterize_mode!r}")
-    check_size(width, height)
+    width, height = to_pixels("width", width), to_pixels("height", height)
+    tile_size = to_pixels("tile_size", _TILE_SIZE if tile_size is None else tile_size)
     check_numbers(near_plane=near_plane, far_plane=far_plane, radius_clip=radius_clip, eps2d=eps2d)
+    sh_degree = None if sh_degree is None else _to_degree(sh_degree)
+    has_color = "RGB" in render_mode
     if covars is not None:
         quats = scales = None
+    if not has_color:
+        backgrounds = None  # nothing is behind depth, whatever their shape
     given = to_tensors(
         means=means, quats=quats, scales=scales, opacities=opacities, colors=colors, viewmats=viewmats, Ks=Ks, covars=covars,
-        backgrounds=backgrounds,
+        backgrounds=backgrounds, radial_coeffs=radial_coeffs,
     )  # fmt: skip
+    if colors is None and has_color:
+        raise ValueError(f"colors must be given for render_mode {render_mode}: without them there is depth alone, D or ED")
     batch, count, cameras, tail = _shapes(**given, sh_degree=sh_degree)
     check_finite(**given)
+    if not has_color:
+        given["colors"] = None
+    if covars is not None:
+        given["covars"] = given["covars"].triu() + given["covars"].triu(1).mT
     settings = _Settings(
         width, height, near_plane, far_plane, eps2d, radius_clip, rasterize_mode == "antialiased", backend, sh_degree, render_mode,
-        absgrad,
+        absgrad, camera_model,  # type: ignore[arg-type]
     )  # fmt: skip
     images = _images(batch, count, cameras, tail, **given, sh_degree=sh_degree)
     projections, drawn = zip(*[_project_image(image, settings) for image in images], strict=True)
@@ -184,12 +230,26 @@ def rasterization(
             extents=None if extents is None else rows.pick(extents, i),
             **{name: parts[name][i] for name in _GEOMETRY},
         )
-        blended, alpha = _blend_image(image, projected, parts["opacities"][i], partial(rows.pick, i=i), settings)
+        blended, alpha = _blend_image(image, projected, parts["opacities"][i], partial(rows.pick, i=i), settings, len(images) == 1)
         rendered.append(blended)
         alphas.append(alpha)
-    meta |= rows.ids() | {"width": width, "height": height, "n_batches": math.prod(batch), "n_cameras": cameras}
+    meta |= rows.ids() | {
+        "width": width, "height": height, "tile_size": tile_size, "tile_width": -(-width // tile_size),
+        "tile_height": -(-height // tile_size), "n_batches": math.prod(batch), "n_cameras": cameras,
+    }  # fmt: skip
     shape = (*batch, cameras, height, width)
     return _stack(rendered).reshape(*shape, -1), _stack(alphas).reshape(*shape, 1), meta
+
+
+def _to_degree(value: Any) -> int:
+    """Return a degree of harmonics as Python's own number, or raise a ValueError."""
+    try:
+        degree = operator.index(value)
+    except (TypeError, ValueError):
+        degree = -1
+    if not 0 <= degree <= MAX_DEGREE:
+        raise ValueError(f"sh_degree must be None or 0 to {MAX_DEGREE}, not {value!r:.40}")
+    return degree
 
 
 def _refuse_uncovered(**asked_for: bool) -> None:
@@ -214,6 +274,7 @@ class _Settings:
     sh_degree: int | None
     render_mode: RenderMode
     absgrad: bool
+    camera_model: CameraModel
 
 
 @dataclass(frozen=True)
@@ -225,11 +286,12 @@ class _Image:
     scales: Tensor | None  # [N, 3]
     covars: Tensor | None  # [N, 3, 3]
     opacities: Tensor  # [N]
-    colors: Tensor  # [N, D] or [N, K, 3]
+    colors: Tensor | None  # [N, D] or [N, K, 3]; None where nobody asks for them
     viewmat: Tensor  # [4, 4]
     K: Tensor  # [3, 3]
     center: Tensor | None  # [3] of the camera in the world; only harmonics beyond degree 0 need it
     background: Tensor | None  # [D]
+    radial_coeffs: Tensor | None  # [4]
 
 
 def _images(
@@ -242,10 +304,11 @@ def _images(
     scales: Tensor | None,
     covars: Tensor | None,
     opacities: Tensor,
-    colors: Tensor,
+    colors: Tensor | None,
     viewmats: Tensor,
     Ks: Tensor,
     backgrounds: Tensor | None,
+    radial_coeffs: Tensor | None,
     sh_degree: int | None,
 ) -> list[_Image]:
     """Return the tensors of every camera of every batch entry, one camera after the other. Shapes are as ``_shapes`` gives them."""
@@ -258,7 +321,7 @@ def _images(
     def of_image(value: Tensor | None, *shape: int) -> Any:
         return [None] * (batches * cameras) if value is None else value.reshape(batches * cameras, *shape).unbind(0)
 
-    per_camera = colors.ndim > len(batch) + 1 + len(tail)
+    per_camera = colors is not None and colors.ndim > len(batch) + 1 + len(tail)
     columns = {
         "means": of_entry(means, count, 3),
         "opacities": of_entry(opacities, count),
@@ -268,8 +331,9 @@ def _images(
         "viewmat": of_image(viewmats, 4, 4),
         "K": of_image(Ks, 3, 3),
         "colors": (of_image if per_camera else of_entry)(colors, count, *tail),
-        "center": of_image(torch.linalg.inv(viewmats)[..., :3, 3] if sh_degree else None, 3),
-        "background": of_image(backgrounds, tail[-1]),
+        "center": of_image(torch.linalg.inv(viewmats)[..., :3, 3] if sh_degree and colors is not None else None, 3),
+        "background": of_image(backgrounds, *tail[-1:]),
+        "radial_coeffs": of_image(radial_coeffs, FISHEYE_COEFFICIENTS),
     }
     return [_Image(**{name: values[i] for name, values in columns.items()}) for i in range(batches * cameras)]
 
@@ -326,14 +390,15 @@ def _shapes(
     quats: Tensor | None,
     scales: Tensor | None,
     opacities: Tensor,
-    colors: Tensor,
+    colors: Tensor | None,
     viewmats: Tensor,
     Ks: Tensor,
     covars: Tensor | None,
     backgrounds: Tensor | None,
+    radial_coeffs: Tensor | None,
     sh_degree: int | None,
 ) -> tuple[tuple[int, ...], int, int, tuple[int, ...]]:
-    """Check all shapes: batch dimensions, N, C and what ``colors`` holds for a Gaussian, (D,) or (K, 3)."""
+    """Check all shapes: batch dimensions, N, C and what ``colors`` holds for a Gaussian, (D,) or (K, 3); () without them."""
 
     def check(name: str, value: Tensor, *shape: int) -> None:
         if value.shape != (*batch, *shape):
@@ -353,8 +418,10 @@ def _shapes(
     check("opacities", opacities, count)
     check("viewmats", viewmats, cameras, 4, 4)
     check("Ks", Ks, cameras, 3, 3)
-    if sh_degree is not None and not 0 <= sh_degree <= MAX_DEGREE:
-        raise ValueError(f"sh_degree must be None or 0 to {MAX_DEGREE}, not {sh_degree}")
+    if radial_coeffs is not None:
+        check("radial_coeffs", radial_coeffs, cameras, FISHEYE_COEFFICIENTS)
+    if colors is None:
+        return batch, count, cameras, ()
     own = 1 if sh_degree is None else 2
     tail = tuple(colors.shape[-own:])
     if colors.shape not in ((*batch, count, *tail), (*batch, cameras, count, *tail)):
@@ -375,7 +442,7 @@ def _project_image(image: _Image, settings: _Settings) -> tuple[Projected, Tenso
         return project(
             image.means, image.quats, image.scales, values, image.viewmat, image.K, settings.width, settings.height,
             covars=image.covars, near_plane=settings.near_plane, far_plane=settings.far_plane, eps2d=eps2d,
-            backend=settings.backend,
+            camera_model=settings.camera_model, radial_coeffs=image.radial_coeffs, backend=settings.backend,
         )  # fmt: skip
 
     projected = with_opacities(opacities)
@@ -395,7 +462,7 @@ def _project_image(image: _Image, settings: _Settings) -> tuple[Projected, Tenso
 
 
 def _blend_image(
-    image: _Image, projected: Projected, opacities: Tensor, pick: Callable[[Tensor], Tensor], settings: _Settings
+    image: _Image, projected: Projected, opacities: Tensor, pick: Callable[[Tensor], Tensor], settings: _Settings, is_alone: bool
 ) -> tuple[Tensor, Tensor]:
     """Draw one image: what ``render_mode`` asks for [H, W, D, D + 1 or 1], and alpha [H, W, 1].
 
@@ -403,9 +470,10 @@ def _blend_image(
         projected: of the n Gaussians that are drawn.
         opacities: [n] of them.
         pick: takes their rows [n, ...] from a value [N, ...].
+        is_alone: no other image is drawn, so that this one is given back as it is.
     """
     features = []
-    if "RGB" in settings.render_mode:
+    if image.colors is not None:
         color = pick(image.colors)
         if settings.sh_degree is not None:
             directions = None if image.center is None else pick(image.means) - image.center
@@ -413,11 +481,13 @@ def _blend_image(
         features.append(color)
     if "D" in settings.render_mode:
         features.append(projected.depths[:, None])
-    blended, alpha = blend(projected, opacities, torch.cat(features, 1), settings.width, settings.height, absgrad=settings.absgrad)
-    alpha = alpha[..., None]
+    drawn, alpha = blend(projected, opacities, torch.cat(features, 1), settings.width, settings.height, absgrad=settings.absgrad)
+    blended, alpha = drawn, alpha[..., None]
     if "ED" in settings.render_mode:
         blended = torch.cat([blended[..., :-1], blended[..., -1:] / alpha.clamp(min=1e-10)], -1)
-    if image.background is not None and "RGB" in settings.render_mode:
+    if image.background is not None:
         zeros = blended.shape[-1] - len(image.background)  # nothing is behind depth
         blended = blended + (1 - alpha) * torch.nn.functional.pad(image.background, (0, zeros))
+    if blended is drawn and is_alone and drawn.requires_grad:
+        blended = drawn.clone()  # backward reads what was drawn, and whoever masks an image writes into it
     return blended, alpha

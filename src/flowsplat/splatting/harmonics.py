@@ -5,7 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from flowsplat.splatting.rules import C0, C1, C2, C3
+from flowsplat.splatting.rules import C0, C1, C2, C3, C4
+
+MAX_DEGREE = 4
+"""Of those that have a basis here."""
 
 
 def harmonics_count(degree: int) -> int:
@@ -14,7 +17,7 @@ def harmonics_count(degree: int) -> int:
 
 
 def harmonics_basis(directions: Tensor, degree: int) -> Tensor:
-    """Return [..., 3] unit directions to [..., (degree + 1)^2] basis values; degree 0 to 3."""
+    """Return [..., 3] unit directions to [..., (degree + 1)^2] basis values; degree 0 to 4."""
     x, y, z = directions.unbind(-1)
     basis = [torch.full_like(x, C0)]
     if degree > 0:
@@ -27,6 +30,13 @@ def harmonics_basis(directions: Tensor, degree: int) -> Tensor:
             C3[0] * y * (3 * xx - yy), C3[1] * x * y * z, C3[2] * y * (4 * zz - xx - yy),
             C3[3] * z * (2 * zz - 3 * xx - 3 * yy), C3[4] * x * (4 * zz - xx - yy), C3[5] * z * (xx - yy),
             C3[6] * x * (xx - 3 * yy),
+        ]  # fmt: skip
+    if degree > 3:
+        xy, xz, yz = x * y, x * z, y * z
+        basis += [
+            C4[0] * xy * (xx - yy), C4[1] * yz * (3 * xx - yy), C4[2] * xy * (7 * zz - 1), C4[3] * yz * (7 * zz - 3),
+            C4[4] * (zz * (35 * zz - 30) + 3), C4[5] * xz * (7 * zz - 3), C4[6] * (xx - yy) * (7 * zz - 1),
+            C4[7] * xz * (xx - 3 * yy), C4[8] * (xx * (xx - 3 * yy) - yy * (3 * xx - yy)),
         ]  # fmt: skip
     return torch.stack(basis, -1)
 

@@ -9,9 +9,18 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from flowsplat.geometry.projection import camera_jacobian, to_camera
+from flowsplat.geometry.projection import to_camera
 from flowsplat.geometry.rotations import covariances
-from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, OPACITY_FLOOR, RADIUS_MAX, SLOPED_FEATURES, TRANSMITTANCE_MIN
+from flowsplat.splatting.camera_models import CameraModel, project_in_camera
+from flowsplat.splatting.rules import (
+    ALPHA_MAX,
+    ALPHA_MIN,
+    DETERMINANT_MAX,
+    OPACITY_FLOOR,
+    RADIUS_MAX,
+    SLOPED_FEATURES,
+    TRANSMITTANCE_MIN,
+)
 
 STRIP_ROWS = 8
 """Rows blended at a time, so that the matrices fit a cache."""
@@ -30,8 +39,13 @@ def project(
     near_plane: float,
     far_plane: float,
     eps2d: float,
+    camera_model: CameraModel = "pinhole",
+    radial_coeffs: Tensor | None = None,  # [4]
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """EWA projection: means2d [N, 2], conics [N, 3], depths [N], radii [N, 2] int32 (0 where culled)."""
+    """EWA projection: means2d [N, 2], conics [N, 3], depths [N], radii [N, 2] int32 (0 where culled).
+
+    Radii are rounded up to whole pixels, and a Gaussian is culled where not even these reach the image: gsplat's rule.
+    """
     if covars is None:
         assert quats is not None
         assert scales is not None
@@ -41,27 +55,21 @@ def project(
     inside = (depths > near_plane) & (depths < far_plane)
     safe = torch.where(inside, depths, torch.ones_like(depths))
     camera_means = torch.cat([camera_means[:, :2], safe[:, None]], 1)
-    J = camera_jacobian(camera_means, K, width, height) @ viewmat[:3, :3]
+    means2d, J, shows = project_in_camera(camera_means, K, width, height, camera_model, radial_coeffs)
+    J = J @ viewmat[:3, :3]
     blurred = J @ covars @ J.transpose(1, 2) + eps2d * torch.eye(2, dtype=means.dtype, device=means.device)
     a, b, c = blurred[:, 0, 0], 0.5 * (blurred[:, 0, 1] + blurred[:, 1, 0]), blurred[:, 1, 1]
     determinant = a * c - b * b
-    inside = inside & (determinant > 0) & torch.isfinite(determinant)
+    inside = inside & shows & (determinant > 0) & (determinant < DETERMINANT_MAX)
     safe_determinant = torch.where(inside, determinant, torch.ones_like(determinant))
     conics = torch.stack([c, -b, a], 1) / safe_determinant[:, None]
-    means2d = torch.stack(
-        [
-            K[0, 0] * camera_means[:, 0] / camera_means[:, 2] + K[0, 2],
-            K[1, 1] * camera_means[:, 1] / camera_means[:, 2] + K[1, 2],
-        ],
-        1,
-    )
     with torch.no_grad():
         extent = 2 * torch.log(opacities.clamp(min=OPACITY_FLOOR) / ALPHA_MIN)
-        half = torch.sqrt(extent.clamp(min=0)[:, None] * torch.stack([a, c], 1).clamp(min=0))
+        half = torch.ceil(torch.sqrt(extent.clamp(min=0)[:, None] * torch.stack([a, c], 1).clamp(min=0))).clamp(min=1)
         size = torch.tensor([width, height], dtype=means.dtype, device=means.device)
         touches = ((means2d + half > 0) & (means2d - half < size)).all(1)
         visible = inside & touches & (extent > 0)
-        radii = torch.where(visible[:, None], torch.ceil(half).clamp(1, RADIUS_MAX), torch.zeros_like(half)).to(torch.int32)
+        radii = torch.where(visible[:, None], half.clamp(max=RADIUS_MAX), torch.zeros_like(half)).to(torch.int32)
     return means2d, conics, depths, radii
 
 

@@ -22,7 +22,7 @@ SLOPED_FEATURES = 3
 RADIUS_MAX = 1e6
 """Pixels. A round number."""
 DETERMINANT_MAX = 1e30
-"""px^4, of a 2D covariance in float32: one beyond is culled."""
+"""px^4, of a 2D covariance: one beyond is culled, since float32 holds its inverse no longer."""
 
 # Real spherical harmonics by degree, with the sign convention of 3D Gaussian Splatting.
 C0 = 0.28209479177387814
@@ -36,3 +36,8 @@ C3 = (
     -0.4570457994644658, 1.445305721320277, -0.5900435899266435,
 )  # fmt: skip
 """Of degree 3."""
+C4 = (
+    2.5033429417967046, -1.7701307697799304, 0.9461746957575601, -0.6690465435572892, 0.10578554691520431,
+    -0.6690465435572892, 0.47308734787878004, -1.7701307697799304, 0.6258357354491761,
+)  # fmt: skip
+"""Of degree 4."""

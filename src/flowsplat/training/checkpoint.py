@@ -100,10 +100,10 @@ class CheckpointFile(TypedDict):
     queue: list[Count]
     rng: dict[str, Any]
     neighbors_found: Count
-    recent: list[dict[str, float | None]]
+    recent: list[dict[str, float]]
     averaged: Count
     seconds: Number
-    history: list[dict[str, float | None]]
+    history: list[dict[str, float]]
     config: dict[str, Any]
 
 

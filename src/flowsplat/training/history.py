@@ -47,7 +47,13 @@ class History:
 
     @staticmethod
     def restore(values: Mapping[str, Any]) -> History:
-        """Return the inverse of ``values``."""
+        """Return the inverse of ``values``.
+
+        Raises:
+            KeyError: an entry is of no step, or has no PSNR, which the progress of a training shows.
+        """
+        for entry in values["history"]:
+            _ = entry["step"], entry["psnr"]
         return History(values["history"], [{**entry} for entry in values["recent"]])
 
 

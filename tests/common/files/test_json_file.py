@@ -37,8 +37,11 @@ def test_what_fits_is_given_back_as_it_is(tmp_path):
 
 @pytest.mark.parametrize(
     "text",
-    ["", "{", "[1,]", "nothing", '"\udcff"'.encode("utf-8", "surrogatepass"), b'"\xff"', b"\0\0\0\0", "[1] [2]", "{1: 2}", "01"],
-)
+    [
+        "", "{", "[1,]", "nothing", '"\udcff"'.encode("utf-8", "surrogatepass"), b'"\xff"', b"\0\0\0\0", "[1] [2]", "{1: 2}", "01",
+        '"\\ud800"', '{"\\udfff": 1}', '["x\\ud83d\\u0041"]',
+    ],
+)  # fmt: skip
 def test_what_is_no_json_is_refused(tmp_path, text):
     with pytest.raises(InputError, match="not readable JSON") as error:
         read_json(written(tmp_path, text))
@@ -49,6 +52,17 @@ def test_what_is_no_json_is_refused(tmp_path, text):
 def test_numbers_that_are_not_finite_are_named(tmp_path, text):
     with pytest.raises(InputError, match="not finite"):
         read_json(written(tmp_path, text))
+
+
+def test_a_whole_character_of_two_halves_is_text(tmp_path):
+    assert read_json(written(tmp_path, '"\\ud83d\\ude00"')) == "\U0001f600"
+
+
+def test_half_a_character_that_another_reader_let_pass_is_refused(tmp_path):
+    for value in ({**GOOD, "\ud800": 1}, {"\ud800": 1}):
+        with pytest.raises(InputError, match="half a character") as error:
+            check_json(tmp_path, value, Small)
+        assert str(error.value).isprintable()
 
 
 @pytest.mark.parametrize("text", ["[1e999]", "[" + "9" * 5000 + "]", "[-" + "9" * 5000 + "]", "[9007199254740993]"])

@@ -305,3 +305,21 @@ def test_the_interface_of_gsplat_draws_with_it(packed):
 
     for ours, theirs in zip(drawn("triton", DEVICE), drawn("cpu", torch.device("cpu")), strict=True):
         assert relative(ours.cpu(), theirs) < 1e-4
+
+
+@pytest.mark.parametrize("changed", ["means", "quats", "scales", "viewmat", "K", "opacities", "features"])
+def test_what_was_changed_in_place_has_no_wrong_gradient(changed):
+    gradients, refused = [], False
+    for change in (False, True):
+        leaves = {name: value.float().to(DEVICE).requires_grad_() for name, value in with_camera(random_gaussians(12, 3)).items()}
+        image, _ = blend(project(*geometry(leaves), 12, 8, backend="triton"), leaves["opacities"], leaves["features"], 12, 8)
+        if change:
+            with torch.no_grad():
+                leaves[changed].mul_(1.5)
+        try:
+            (image**2).sum().backward()
+        except RuntimeError as error:
+            refused = "inplace" in str(error)
+        gradients.append([leaf.grad for leaf in leaves.values()])
+    assert refused or all(torch.equal(a, b) for a, b in zip(*gradients, strict=True))
+    assert refused or changed not in ("means", "quats", "scales", "viewmat", "K", "opacities")

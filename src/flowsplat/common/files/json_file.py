@@ -107,6 +107,9 @@ def check_json(path: Path | str, value: Any, schema: Any) -> None:
         msgspec.convert(value, schema)
     except (msgspec.ValidationError, RecursionError) as error:
         raise InputError(f"{path} is damaged: {error}.") from error
+    except UnicodeEncodeError as error:
+        # Not where this module has read it: Python's own reader lets half a character pass ("\\ud800").
+        raise InputError(f"{path} is damaged: it holds half a character (a lone surrogate), which is no text.") from error
 
 
 def _check_plain(path: Path | str, value: Any) -> None:

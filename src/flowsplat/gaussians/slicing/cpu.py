@@ -301,13 +301,16 @@ class _SliceFunction(torch.autograd.Function):
     def forward(
         ctx: Any, _: Tensor, gaussians: Gaussians4D, active: Active, settings: tuple[Any, ...], gradients: Gradients | None
     ) -> tuple[Tensor, ...]:
-        inputs = [active.rows.numpy(), *(gaussians.params[name].numpy() for name in NAMES)]
+        params = [gaussians.params[name] for name in NAMES]
+        inputs = [tensor.numpy() for tensor in (active.rows, *params)]
         count = len(active.rows)
         moving, later = count - active.num_static, count if settings[3] else 0
         shapes = ((count, 3), (count, 4), (count, 3), (count,), (count, 3), (moving, 3), (later, 3), (later, 4))
         outputs = tuple(torch.empty(shape) for shape in shapes)
         parallel_for(_forward, CHUNKS, *inputs, *settings, *(output.numpy() for output in outputs))
-        ctx.inputs, ctx.settings, ctx.shapes, ctx.means = inputs, settings, shapes, outputs[0].detach().numpy()
+        # Parameters are no inputs (see below), and yet saved: torch then refuses a gradient of others than were sliced.
+        ctx.save_for_backward(active.rows, *params, outputs[0])
+        ctx.settings, ctx.shapes = settings, shapes
         ctx.gaussians, ctx.active, ctx.gradients = gaussians, active, gradients
         ctx.set_materialize_grads(False)
         return outputs
@@ -315,15 +318,14 @@ class _SliceFunction(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *incoming: Tensor | None) -> tuple[None, ...]:
+        *inputs, means = (tensor.detach().numpy() for tensor in ctx.saved_tensors)
         arriving = [
             (torch.zeros(shape) if gradient is None else gradient.contiguous()).numpy()
             for gradient, shape in zip(incoming, ctx.shapes, strict=True)
         ]
         counts = {name: len(ctx.gaussians.rows_of(name, ctx.active)) for name in NAMES}
         results = {name: torch.empty(counts[name], *ctx.gaussians.params[name].shape[1:]) for name in NAMES}
-        parallel_for(
-            _backward, CHUNKS, *ctx.inputs, *ctx.settings, ctx.means, *arriving, *(result.numpy() for result in results.values())
-        )
+        parallel_for(_backward, CHUNKS, *inputs, *ctx.settings, means, *arriving, *(result.numpy() for result in results.values()))
         ctx.gradients.update(results)
         return None, None, None, None, None
 

@@ -378,8 +378,10 @@ class _SliceFunction(torch.autograd.Function):
         ctx: Any, _: Tensor, gaussians: Gaussians4D, active: Active, moment: Tensor, has_next: bool, gradients: Gradients | None
     ) -> tuple[Tensor, ...]:
         outputs = slice_rows(gaussians, active.rows, active.num_static, moment, has_next)
-        ctx.gaussians, ctx.active, ctx.moment, ctx.gradients = gaussians, active, moment, gradients
-        ctx.constants, ctx.means = _constants(gaussians, has_next), outputs[0].detach()
+        # Parameters are no inputs (see below), and yet saved: torch then refuses a gradient of others than were sliced.
+        ctx.save_for_backward(active.rows, moment, *(gaussians.params[name] for name in NAMES), outputs[0])
+        ctx.gaussians, ctx.active, ctx.gradients = gaussians, active, gradients
+        ctx.constants = _constants(gaussians, has_next)
         ctx.shapes = tuple(output.shape for output in outputs)
         ctx.set_materialize_grads(False)
         return outputs
@@ -387,7 +389,7 @@ class _SliceFunction(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *incoming: Tensor | None) -> tuple[None, ...]:
-        gaussians, active, device = ctx.gaussians, ctx.active, ctx.means.device
+        gaussians, active, device = ctx.gaussians, ctx.active, ctx.saved_tensors[0].device
         arriving = [
             torch.zeros(shape, device=device) if gradient is None else gradient.contiguous()
             for gradient, shape in zip(incoming, ctx.shapes, strict=True)
@@ -396,9 +398,9 @@ class _SliceFunction(torch.autograd.Function):
         results = {name: torch.empty(counts[name], *gaussians.params[name].shape[1:], device=device) for name in NAMES}
         count = len(active.rows)
         if count:
-            with device_of(ctx.means):
+            with device_of(active.rows):
                 _backward[(triton.cdiv(count, BLOCK),)](
-                    active.rows, ctx.moment, *(gaussians.params[name] for name in NAMES), ctx.means, *arriving,
+                    *ctx.saved_tensors, *arriving,
                     *results.values(), count, active.num_static, **ctx.constants,
                 )  # fmt: skip
         ctx.gradients.update(results)

@@ -15,7 +15,7 @@ from flowsplat.geometry.rotations import multiply_quats, normalize_quats, princi
 from flowsplat.splatting.harmonics import harmonics_basis, harmonics_count
 from flowsplat.splatting.rules import C0
 
-_FLIP = torch.tensor([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
+FLIP_AXES = torch.tensor([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
 """Half a turn about x: y down and z forward become y up and z backward."""
 _OPACITY_MARGIN = 1e-6
 """Opacities are kept this far from 0 and 1, where their logit ends."""
@@ -82,7 +82,7 @@ def still_at(model: SceneModel, seconds: float, *, flip_axes: bool = False) -> S
     means = torch.from_numpy(undo.points(sliced.means.double().numpy()))
     rotation = torch.from_numpy(undo.rotation)
     if flip_axes:
-        rotation, means = _FLIP.double() @ rotation, means @ _FLIP.double().T
+        rotation, means = FLIP_AXES.double() @ rotation, means @ FLIP_AXES.double().T
     turn = rotations_to_quats(rotation)
     return Still(
         means.float(),

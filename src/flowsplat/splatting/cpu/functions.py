@@ -32,6 +32,22 @@ _NO_QUATS, _NO_SCALES = np.zeros((0, 4), np.float32), np.zeros((0, 3), np.float3
 _NO_COVARS = np.zeros((0, 3, 3), np.float32)
 _NO_ABSOLUTE = _NO_SLOPES = np.zeros((0, 2), np.float32)
 
+# What backward reads is kept by ``save_for_backward`` alone: an array that shares the memory of a tensor would follow what is
+# written into it in the meantime, and give a wrong gradient without a word, where torch refuses that.
+
+
+def _shapes_as_arrays(
+    means: Tensor, quats: Tensor | None, scales: Tensor | None, covars: Tensor | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]:
+    """Return the inputs of both kernels of the projection that describe Gaussians; empty ones for what is not given."""
+    return (
+        _array(means),
+        _NO_QUATS if quats is None else _array(quats),
+        _NO_SCALES if scales is None else _array(scales),
+        _NO_COVARS if covars is None else _array(covars),
+        covars is not None,
+    )
+
 
 class _Project(torch.autograd.Function):
     @staticmethod
@@ -39,33 +55,28 @@ class _Project(torch.autograd.Function):
                 opacities: Tensor, viewmat: Tensor, K: Tensor, width: int, height: int, near: float, far: float,
                 eps2d: float) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
         count = len(means)
-        inputs = (
-            _array(means),
-            _NO_QUATS if quats is None else _array(quats),
-            _NO_SCALES if scales is None else _array(scales),
-            _NO_COVARS if covars is None else _array(covars),
-            covars is not None,
-        )
-        view, K_array = _array(viewmat), _array(K)
+        inputs = _shapes_as_arrays(means, quats, scales, covars)
         means2d, conics = torch.empty(count, 2), torch.empty(count, 3)
         depths, extents = torch.empty(count), torch.empty(count)
         radii = torch.empty(count, 2, dtype=torch.int32)
         parallel_for(
-            kernels.project_forward, count, *inputs, _array(opacities), view, K_array, width, height, np.float32(near),
+            kernels.project_forward, count, *inputs, _array(opacities), _array(viewmat), _array(K), width, height, np.float32(near),
             np.float32(far),
             np.float32(eps2d), means2d.numpy(), conics.numpy(), depths.numpy(), radii.numpy(), extents.numpy(),
         )  # fmt: skip
         ctx.mark_non_differentiable(radii, extents)
         ctx.set_materialize_grads(False)
-        ctx.inputs, ctx.camera, ctx.size = inputs, (view, K_array), (width, height, np.float32(eps2d))
-        ctx.radii, ctx.conics = radii.numpy(), conics.detach().numpy()
+        ctx.save_for_backward(means, quats, scales, covars, viewmat, K, radii, conics)
+        ctx.size = width, height, np.float32(eps2d)
         return means2d, conics, depths, radii, extents
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad_means2d: Tensor | None, grad_conics: Tensor | None, grad_depths: Tensor | None,
                  *_: Any) -> tuple[Tensor | None, ...]:  # fmt: skip
-        means, quats, scales, covars, has_covars = ctx.inputs
+        given_means, given_quats, given_scales, given_covars, viewmat, K, radii, conics = ctx.saved_tensors
+        inputs = _shapes_as_arrays(given_means, given_quats, given_scales, given_covars)
+        means, quats, scales, covars, has_covars = inputs
         count = len(means)
         zeros = [
             torch.zeros(count, *shape) if gradient is None else gradient
@@ -76,8 +87,7 @@ class _Project(torch.autograd.Function):
         grad_scales, grad_covars = torch.empty(len(scales), 3), torch.empty(len(covars), 3, 3)
         grad_camera = np.zeros((_CHUNKS, 16))
         parallel_for(
-            kernels.project_backward, _CHUNKS, means, quats, scales, covars, has_covars, *ctx.camera, *ctx.size, ctx.radii,
-            ctx.conics,
+            kernels.project_backward, _CHUNKS, *inputs, _array(viewmat), _array(K), *ctx.size, radii.numpy(), _array(conics),
             *(_array(gradient) for gradient in zeros), grad_means.numpy(), grad_quats.numpy(), grad_scales.numpy(),
             grad_covars.numpy(), wants_camera, grad_camera,
         )  # fmt: skip
@@ -146,16 +156,17 @@ class _Blend(torch.autograd.Function):
         )  # fmt: skip
         ctx.lease, ctx.size, ctx.stride, ctx.visible, ctx.total = lease, (width, height), stride, visible, total
         ctx.tiles = records, instances, tile_offsets, tile_stops, order, instance_offsets
-        ctx.save_for_backward(image, transmittance)
-        ctx.inputs, ctx.absolute, ctx.sloped = (conic, opacity, slope), absolute, sloped
+        ctx.save_for_backward(image, transmittance, conics, opacities, slopes)
+        ctx.absolute, ctx.sloped = absolute, sloped
         ctx.set_materialize_grads(False)
         return image, 1 - transmittance
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad_image: Tensor | None, grad_alphas: Tensor | None) -> tuple[Tensor | None, ...]:
-        image, transmittance = ctx.saved_tensors
-        (conic, opacity, slope), (width, height) = ctx.inputs, ctx.size
+        image, transmittance, conics, opacities, slopes = ctx.saved_tensors
+        conic, opacity, (width, height) = _array(conics), _array(opacities), ctx.size
+        slope = _NO_SLOPES if slopes is None else _array(slopes)
         records, instances, tile_offsets, tile_stops, order, instance_offsets = ctx.tiles
         count, channels = len(opacity), image.shape[2]
         grad_image = torch.zeros_like(image) if grad_image is None else grad_image

@@ -119,11 +119,11 @@ def project_forward(
         conics[i, 2] = a * inverse_determinant
         extent = TWO * log(max(opacities[i], MIN_OPACITY) * INVERSE_ALPHA_MIN)
         if good and extent > ZERO:
-            half_x, half_y = math.sqrt(extent * a), math.sqrt(extent * c)
+            half_x, half_y = max(np.ceil(math.sqrt(extent * a)), ONE), max(np.ceil(math.sqrt(extent * c)), ONE)
             if (u + half_x > ZERO) and (u - half_x < w) and (v + half_y > ZERO) and (v - half_y < h):
                 extents[i] = extent
-                radii[i, 0] = int(min(max(np.ceil(half_x), ONE), MAX_RADIUS))
-                radii[i, 1] = int(min(max(np.ceil(half_y), ONE), MAX_RADIUS))
+                radii[i, 0] = int(min(half_x, MAX_RADIUS))
+                radii[i, 1] = int(min(half_y, MAX_RADIUS))
 
 
 @kernel

@@ -42,15 +42,18 @@ class _Project(torch.autograd.Function):
                 )  # fmt: skip
         ctx.mark_non_differentiable(radii, extents)
         ctx.set_materialize_grads(False)
-        ctx.inputs, ctx.camera, ctx.size = inputs, camera, (width, height, float(eps2d))
-        ctx.radii, ctx.conics = radii, conics.detach()
+        # All that backward reads: what is written into it in the meantime would give a wrong gradient, and torch refuses that.
+        ctx.save_for_backward(means, quats, scales, covars, viewmat, K, radii, conics)
+        ctx.size = width, height, float(eps2d)
         return means2d, conics, depths, radii, extents
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad_means2d: Tensor | None, grad_conics: Tensor | None, grad_depths: Tensor | None,
                  *_: Any) -> tuple[Tensor | None, ...]:  # fmt: skip
-        means, quats, scales, covars = ctx.inputs
+        *given_inputs, radii, conics = ctx.saved_tensors
+        ready: Any = [None if value is None else _ready(value) for value in given_inputs]
+        means, quats, scales, covars, viewmat, K = ready
         count, device = len(means), means.device
         given = [
             torch.zeros(count, *shape, device=device) if gradient is None else _ready(gradient)
@@ -58,7 +61,7 @@ class _Project(torch.autograd.Function):
         ]
         wants_camera = ctx.needs_input_grad[5] or ctx.needs_input_grad[6]
         grad_means, grad_quats, grad_scales, grad_covars = (
-            None if value is None else torch.empty_like(value) for value in ctx.inputs
+            None if value is None else torch.empty_like(value) for value in (means, quats, scales, covars)
         )
         block = rows_per_program(count)
         programs = triton.cdiv(count, block)
@@ -66,7 +69,7 @@ class _Project(torch.autograd.Function):
         if count > 0:
             with device_of(means):
                 kernels.project_backward[(programs,)](
-                    means, quats, scales, covars, *ctx.camera, ctx.radii, ctx.conics, *given, grad_means, grad_quats,
+                    means, quats, scales, covars, viewmat, K, radii, conics, *given, grad_means, grad_quats,
                     grad_scales, grad_covars, grad_camera, count, *ctx.size, HAS_COVARS=covars is not None,
                     WANTS_CAMERA=wants_camera, BLOCK=block,
                 )  # fmt: skip
@@ -140,8 +143,8 @@ class _Blend(torch.autograd.Function):
         inputs = tuple(map(_ready, (means2d, conics, opacities, features, depths, extents)))
         with device_of(means2d):
             blended = _blend(inputs, width, height, save=True)
-        ctx.save_for_backward(blended.image, blended.transmittance)
-        ctx.size, ctx.opacity, ctx.feature, ctx.absolute = (width, height), inputs[2], inputs[3], absolute
+        ctx.save_for_backward(blended.image, blended.transmittance, opacities, features)
+        ctx.size, ctx.absolute = (width, height), absolute
         ctx.stops, ctx.counted, ctx.binned = blended.stops, blended.counted, blended.binned
         ctx.set_materialize_grads(False)
         return blended.image, blended.alphas
@@ -149,9 +152,10 @@ class _Blend(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad_image: Tensor | None, grad_alphas: Tensor | None) -> tuple[Tensor | None, ...]:
-        image, transmittance = ctx.saved_tensors
+        image, transmittance, opacities, features = ctx.saved_tensors
+        opacity, feature = _ready(opacities), _ready(features)
         (width, height), counted, binned = ctx.size, ctx.counted, ctx.binned
-        (count, channels), device = ctx.feature.shape, image.device
+        (count, channels), device = feature.shape, image.device
         columns, rows = tiles.tile_grid(width, height)
         capacity = len(binned.slots)
         # Zeros: behind the place where a tile stopped nothing is written.
@@ -161,14 +165,14 @@ class _Blend(torch.autograd.Function):
         grad_opacities, grad_features = torch.empty(count, device=device), torch.empty(count, channels, device=device)
         with device_of(image):
             blending.blend_backward[(columns * rows,)](
-                counted.records, ctx.feature, binned.gaussians, binned.slots, binned.offsets, ctx.stops, image, transmittance,
+                counted.records, feature, binned.gaussians, binned.slots, binned.offsets, ctx.stops, image, transmittance,
                 torch.zeros_like(image) if grad_image is None else _ready(grad_image),
                 torch.zeros_like(transmittance) if grad_alphas is None else _ready(grad_alphas), out, width, height, columns,
                 CHANNELS=channels, PADDED=power_of_two(channels), STRIDE=stride, ABSOLUTE=ctx.absolute is not None,
                 num_warps=blending.BACKWARD_WARPS,
             )  # fmt: skip
             blending.gather_gradients[(count,)](
-                counted.order, counted.counts, counted.ends, out, ctx.opacity, grad_means2d, grad_conics, grad_opacities,
+                counted.order, counted.counts, counted.ends, out, opacity, grad_means2d, grad_conics, grad_opacities,
                 grad_features, ctx.absolute, capacity, CHANNELS=channels, COLUMNS=power_of_two(blending.GEOMETRY + channels),
                 STRIDE=stride, ROWS=blending.SUMMED_ROWS, ABSOLUTE=ctx.absolute is not None, num_warps=1,
             )  # fmt: skip

@@ -140,7 +140,8 @@ def project_forward(
     opacity = tl.load(opacities + i, mask=live, other=0.0)
     extent = 2 * tl.log(tl.maximum(opacity, MIN_OPACITY) * INVERSE_ALPHA_MIN)
     good = good & (extent > 0)
-    half_x, half_y = tl.sqrt(tl.where(good, extent * a, 0.0)), tl.sqrt(tl.where(good, extent * c, 0.0))
+    half_x = tl.maximum(tl.ceil(tl.sqrt(tl.where(good, extent * a, 0.0))), 1.0)
+    half_y = tl.maximum(tl.ceil(tl.sqrt(tl.where(good, extent * c, 0.0))), 1.0)
     good = good & (u + half_x > 0) & (u - half_x < w) & (v + half_y > 0) & (v - half_y < h)
     tl.store(means2d + 2 * i, u, mask=live)
     tl.store(means2d + 2 * i + 1, v, mask=live)
@@ -149,7 +150,7 @@ def project_forward(
     tl.store(conics + 3 * i + 2, a * inverse_determinant, mask=live)
     tl.store(depths + i, z, mask=live)
     tl.store(extents + i, tl.where(good, extent, 0.0), mask=live)
-    wide, high = _clamp(tl.ceil(half_x), 1.0, MAX_RADIUS), _clamp(tl.ceil(half_y), 1.0, MAX_RADIUS)
+    wide, high = tl.minimum(half_x, MAX_RADIUS), tl.minimum(half_y, MAX_RADIUS)
     tl.store(radii + 2 * i, tl.where(good, wide, 0.0).to(tl.int32), mask=live)
     tl.store(radii + 2 * i + 1, tl.where(good, high, 0.0).to(tl.int32), mask=live)
 

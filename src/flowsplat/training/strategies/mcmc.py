@@ -15,7 +15,8 @@ from torch import Tensor
 from flowsplat.gaussians.density import DensityResult
 from flowsplat.gaussians.gaussians4d import Gaussians4D
 from flowsplat.gaussians.observations import Observations
-from flowsplat.geometry.rotations import quats_to_rotations
+from flowsplat.geometry.rotations import covariances
+from flowsplat.splatting.relocation import share_place
 from flowsplat.training.config import TrainConfig
 from flowsplat.training.schedule import LearningRates
 from flowsplat.training.state import TrainState
@@ -26,8 +27,6 @@ NOISE_RATE = 5e5
 """Times the learning rate of positions: how far noise moves them (gsplat 1.5, ``noise_lr``)."""
 GROWTH = 0.05
 """Share of new Gaussians in a round (gsplat 1.5)."""
-MAX_SHARERS = 51
-"""Gaussians that may share the place of one in a round (gsplat 1.5, ``binoms``)."""
 
 
 @STRATEGIES.register("mcmc", "gsplat's MCMC", "Move the transparent to the opaque, as gsplat's MCMCStrategy.", place=40)
@@ -92,26 +91,6 @@ class MCMCStrategy:
         gaussians.params["means"] += (covars @ (scale * transparent[:, None] * noise)[..., None])[..., 0]
 
 
-def share_place(opacities: Tensor, sharers: Tensor) -> tuple[Tensor, Tensor]:
-    """Return how opaque each of several Gaussians in one place is, and how many times as large, so that they look as the one did.
-
-    That is eq. 9 of the paper: 1 - (1 - o')^N = o, and the same integral along the ray; its double sum over binomials is summed up
-    over one of its indices (sum_i C(i, k) = C(N, k + 1)).
-
-    Args:
-        opacities: [N] of the one.
-        sharers: [N] int, how many there are.
-    """
-    count = sharers.clamp(max=MAX_SHARERS).double()
-    old = opacities.double()
-    new = 1 - (1 - old) ** (1 / count)
-    total, binomial, power = torch.zeros_like(new), count.clone(), new.clone()
-    for k in range(int(count.max()) if len(count) else 0):
-        total += (-1) ** k / (k + 1) ** 0.5 * binomial * power
-        binomial, power = binomial * (count - k - 1).clamp(min=0) / (k + 2), power * new
-    return new.to(opacities.dtype), (old / total).to(opacities.dtype)
-
-
 def _covariances(gaussians: Gaussians4D) -> Tensor:
     """Return [N, 3, 3] at the center times."""
     shape = gaussians.motion.at_rest(gaussians.params)
@@ -119,5 +98,4 @@ def _covariances(gaussians: Gaussians4D) -> Tensor:
         return shape.covars
     assert shape.quats is not None
     assert shape.scales is not None
-    axes = quats_to_rotations(shape.quats) * shape.scales[:, None]
-    return axes @ axes.transpose(1, 2)
+    return covariances(shape.quats, shape.scales)

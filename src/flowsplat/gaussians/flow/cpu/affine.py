@@ -133,6 +133,10 @@ def _backward(
             )  # fmt: skip
 
 
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().contiguous().numpy()
+
+
 class _Features(torch.autograd.Function):
     @staticmethod
     def forward(
@@ -140,7 +144,7 @@ class _Features(torch.autograd.Function):
         next_means: Tensor, next_quats: Tensor, radii: Tensor, cameras: tuple[Camera, Camera],
     ) -> Tensor:  # fmt: skip
         given = (colors, depths, means2d, means, quats, scales, next_means, next_quats)
-        inputs = [tensor.detach().contiguous().numpy() for tensor in given]
+        inputs = [_array(tensor) for tensor in given]
         views, Ks = (np.stack(matrices).astype(np.float32) for matrices in zip(*((c.viewmat, c.K) for c in cameras), strict=True))
         width, height = cameras[0].width, cameras[0].height
         limits = np.stack([tangent_limits(K, width, height) for K in Ks])
@@ -151,7 +155,8 @@ class _Features(torch.autograd.Function):
         if hidden[0]:
             features = torch.empty(len(colors), CHANNELS + 1)
             parallel_for(_forward, CHUNKS, *inputs, drawn, *lens, features.numpy(), hidden)
-        ctx.inputs = *inputs[2:], *lens
+        ctx.save_for_backward(*given[2:])
+        ctx.lens = lens
         return features
 
     @staticmethod
@@ -159,7 +164,8 @@ class _Features(torch.autograd.Function):
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         count = len(gradient)
         results = [torch.empty(count, size) if size > 1 else torch.empty(count) for size in (3, 1, 2, 3, 4, 3, 3, 4)]
-        parallel_for(_backward, CHUNKS, gradient.contiguous().numpy(), *ctx.inputs, *(result.numpy() for result in results))
+        inputs = [_array(tensor) for tensor in (gradient, *ctx.saved_tensors)]
+        parallel_for(_backward, CHUNKS, *inputs, *ctx.lens, *(result.numpy() for result in results))
         return *results, None, None
 
 

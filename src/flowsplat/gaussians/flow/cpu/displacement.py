@@ -67,27 +67,32 @@ def _backward(begin, end, gradient, next_means, view, K, d_colors, d_depths, d_m
             d_next_means[i, d] = view[0, d] * dx + view[1, d] * dy + view[2, d] * dz
 
 
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().contiguous().numpy()
+
+
 class _Features(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any, colors: Tensor, depths: Tensor, means2d: Tensor, next_means: Tensor, radii: Tensor, camera: Camera
     ) -> Tensor:
         view, K = (tensor.numpy() for tensor in camera.tensors())
-        inputs = [t.detach().contiguous().numpy() for t in (colors, depths, means2d, next_means, radii)]
+        inputs = [_array(tensor) for tensor in (colors, depths, means2d, next_means, radii)]
         features, hidden = torch.empty(len(colors), CHANNELS), np.zeros(1, np.uint8)
         parallel_for(_forward, len(colors), *inputs, view, K, features.numpy(), hidden)
         if hidden[0]:
             features = torch.empty(len(colors), CHANNELS + 1)
             parallel_for(_forward, len(colors), *inputs, view, K, features.numpy(), hidden)
-        ctx.inputs = inputs[3], view, K
+        ctx.save_for_backward(next_means)
+        ctx.camera = view, K
         return features
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        count = len(gradient)
+        (next_means,), count = ctx.saved_tensors, len(gradient)
         results = torch.empty(count, 3), torch.empty(count), torch.empty(count, 2), torch.empty(count, 3)
-        parallel_for(_backward, count, gradient.contiguous().numpy(), *ctx.inputs, *(result.numpy() for result in results))
+        parallel_for(_backward, count, _array(gradient), _array(next_means), *ctx.camera, *(result.numpy() for result in results))
         return *results, None, None
 
 

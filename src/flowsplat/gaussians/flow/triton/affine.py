@@ -220,7 +220,8 @@ class _Features(torch.autograd.Function):
             block = rows_per_program(count)
             with device_of(colors):
                 _forward[(triton.cdiv(count, block),)](*inputs, cameras, features, *size, count, BLOCK=block)
-        ctx.inputs, ctx.size = (*inputs[2:], cameras), size
+        ctx.save_for_backward(*given[2:], cameras)
+        ctx.size = size
         return features
 
     @staticmethod
@@ -229,10 +230,11 @@ class _Features(torch.autograd.Function):
         count, device = len(gradient), gradient.device
         shapes = ((count, 3), (count,), *((count, size) for size in (2, 3, 4, 3, 3, 4)))
         results = [torch.empty(shape, device=device) for shape in shapes]
+        inputs = [tensor.contiguous() for tensor in ctx.saved_tensors]
         if count:
             block = rows_per_program(count)
             with device_of(gradient):
-                _backward[(triton.cdiv(count, block),)](gradient.contiguous(), *ctx.inputs, *results, *ctx.size, count, BLOCK=block)
+                _backward[(triton.cdiv(count, block),)](gradient.contiguous(), *inputs, *results, *ctx.size, count, BLOCK=block)
         return *results, None, None, None
 
 

@@ -84,20 +84,22 @@ def compute_displacement_features(colors: Tensor, depths: Tensor, means2d: Tenso
 class _Features(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, colors: Tensor, depths: Tensor, means2d: Tensor, next_means: Tensor, camera: Tensor) -> Tensor:
-        given = (colors, depths, means2d, next_means)
-        colors, depths, means2d, next_means = (tensor.detach().contiguous() for tensor in given)
-        ctx.inputs = next_means, camera
-        return compute_displacement_features(colors, depths, means2d, next_means, camera)
+        ctx.save_for_backward(next_means, camera)
+        given = (tensor.detach().contiguous() for tensor in (colors, depths, means2d, next_means))
+        return compute_displacement_features(*given, camera)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        next_means, camera = ctx.saved_tensors
         count, device = len(gradient), gradient.device
         results = [torch.empty(shape, device=device) for shape in ((count, 3), (count,), (count, 2), (count, 3))]
         if count:
             block = rows_per_program(count)
             with device_of(gradient):
-                _backward[(triton.cdiv(count, block),)](gradient.contiguous(), *ctx.inputs, *results, count, BLOCK=block)
+                _backward[(triton.cdiv(count, block),)](
+                    gradient.contiguous(), next_means.contiguous(), camera, *results, count, BLOCK=block
+                )
         return *results, None
 
 

@@ -31,11 +31,11 @@ from flowsplat.output.export.still import Still, middle_or, still_at
 from flowsplat.scenes import Scene
 from flowsplat.splatting.harmonics import harmonics_count
 
-_MAGIC, _VERSION = 0x5053474E, 3
+MAGIC, _VERSION = 0x5053474E, 3
 """First four bytes ("NGSP") and version of a file, as in Niantic's format spz."""
 _FRACTION_BITS = 16
 """Bits behind the point of a position at most: a step of 1/65536 of a unit, within 128 units of the middle."""
-_COLOR_SCALE = 0.15
+COLOR_SCALE = 0.15
 """Factor on degree 0 of the harmonics before they become bytes, as in Niantic's format spz."""
 
 _GZIP_RATIO = 0.6
@@ -67,11 +67,11 @@ def write_spz(path: Path, still: Still) -> None:
     count, harmonics = still.sh.shape[:2]
     sh = still.sh.numpy()
     positions, fraction_bits = _convert_to_fixed_point(still.means.numpy())
-    header = struct.pack("<IIIBBBB", _MAGIC, _VERSION, count, int(harmonics**0.5) - 1, fraction_bits, 0, 0)
+    header = struct.pack("<IIIBBBB", MAGIC, _VERSION, count, int(harmonics**0.5) - 1, fraction_bits, 0, 0)
     parts = [
         positions,
         _bytes(255 * still.opacities.numpy()),
-        _bytes(255 * (_COLOR_SCALE * sh[:, 0] + 0.5)),
+        _bytes(255 * (COLOR_SCALE * sh[:, 0] + 0.5)),
         _bytes(16 * (still.log_scales.numpy() + 10)),
         _smallest_three(still.quats.numpy()),
         # All 8 bits; Niantic's own writer rounds to 5 and 4 of them, which saves a tenth of the file and costs 3 dB.
