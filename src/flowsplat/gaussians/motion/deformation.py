@@ -54,7 +54,7 @@ class DeformationMotion(FieldMotion):
 
     def initial_shared(self) -> dict[str, Tensor]:
         """See ``SharedMotion``."""
-        return {**initial_layers(self._widths, torch.Generator().manual_seed(0)), "octaves": torch.tensor(FIRST_OCTAVES)}
+        return {**initial_layers(self._widths, torch.Generator().manual_seed(0), last=0.0), "octaves": torch.tensor(FIRST_OCTAVES)}
 
     def anneal(self, progress: float) -> dict[str, float]:
         """See ``SharedMotion``."""

@@ -65,31 +65,33 @@ class FieldMotion(SharedMotion):
 
 
 def layer_parameters(widths: Sequence[int], rate: float) -> dict[str, SharedParameter]:
-    """Return the weights [out, in] and biases [out] of a network whose layers have these widths, the input first."""
+    """Return the weights [out, in] and biases [out] of a network whose layers have these widths, the input first; the last has no
+    bias, which all times would have in common."""
     found = {}
     for k, (before, after) in enumerate(zip(widths[:-1], widths[1:], strict=True)):
         found[f"weights_{k}"] = SharedParameter((after, before), rate)
-        found[f"biases_{k}"] = SharedParameter((after,), rate)
+        if k < len(widths) - 2:
+            found[f"biases_{k}"] = SharedParameter((after,), rate)
     return found
 
 
-def initial_layers(widths: Sequence[int], generator: torch.Generator) -> dict[str, Tensor]:
-    """Return weights drawn as He et al. do for ReLU (https://arxiv.org/abs/1502.01852), the last layer 0: at first nothing moves."""
+def initial_layers(widths: Sequence[int], generator: torch.Generator, last: float) -> dict[str, Tensor]:
+    """Return weights drawn as He et al. do for ReLU (https://arxiv.org/abs/1502.01852), those of the last layer ``last`` times as
+    large."""
     found = {}
     for k, (before, after) in enumerate(zip(widths[:-1], widths[1:], strict=True)):
         drawn = torch.randn(after, before, generator=generator) * (2 / before) ** 0.5
-        found[f"weights_{k}"] = drawn if k < len(widths) - 2 else torch.zeros(after, before)
-        found[f"biases_{k}"] = torch.zeros(after)
+        if k < len(widths) - 2:
+            found[f"weights_{k}"], found[f"biases_{k}"] = drawn, torch.zeros(after)
+        else:
+            found[f"weights_{k}"] = last * drawn
     return found
 
 
 def apply_layers(layers: Mapping[str, Tensor], inputs: Tensor, rates: Tensor) -> tuple[Tensor, Tensor]:
     """Return [N, out] what the network makes of inputs [N, in], and its derivative where theirs is ``rates`` [N, in]; ReLU between."""
-    count = len(layers) // 2
-    for k in range(count):
-        weights = layers[f"weights_{k}"]
-        inputs, rates = inputs @ weights.T + layers[f"biases_{k}"], rates @ weights.T
-        if k < count - 1:
-            rates = rates * (inputs > 0)
-            inputs = torch.relu(inputs)
-    return inputs, rates
+    last = len(layers) // 2
+    for k in range(last):
+        inputs, rates = inputs @ layers[f"weights_{k}"].T + layers[f"biases_{k}"], rates @ layers[f"weights_{k}"].T
+        inputs, rates = torch.relu(inputs), rates * (inputs > 0)
+    return inputs @ layers[f"weights_{last}"].T, rates @ layers[f"weights_{last}"].T

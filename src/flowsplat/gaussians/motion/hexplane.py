@@ -21,6 +21,9 @@ DECODER_WIDTH = 64
 """Of the hidden layer of the decoder, as in the paper."""
 PLANE_RATE, DECODER_RATE = 1.6e-3, 8e-4
 """Learning rates of the planes, that of the paper, and of the decoder at the start. Chosen by eye."""
+LAST_LAYER_SCALE = 0.1
+"""How large the weights of the last layer are at the start: as nothing changes in time, nothing moves, and with 0 no plane would get a
+gradient. Chosen by eye."""
 SPACE_PLANES, TIME_PLANES = ((0, 1), (0, 2), (1, 2)), (0, 1, 2)
 """Which two axes of space a plane has, and which one beside time."""
 
@@ -60,7 +63,7 @@ class HexplaneMotion(FieldMotion):
             if "planes" in name:
                 drawn = 0.1 + 0.4 * torch.rand(parameter.shape, generator=generator)
                 found[name] = torch.ones(parameter.shape) if name.startswith("time") else drawn
-        return {**found, **initial_layers(self._widths, generator)}
+        return {**found, **initial_layers(self._widths, generator, LAST_LAYER_SCALE)}
 
     def ask(self, anchors: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
         """See ``FieldMotion``."""
@@ -87,8 +90,9 @@ def _look_up(plane: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
     i, j = ((place * cells).detach().floor().clamp(0, cells - 1).long() for place, cells in ((u, rows), (v, columns)))
     a, b = (u * rows - i)[:, None], (v * columns - j)[:, None]
     flat, first = plane.flatten(0, 1), i * plane.shape[1] + j
+    corners = torch.stack([first, first + 1, first + plane.shape[1], first + plane.shape[1] + 1])
     # Not by indices: their gradient sums up in an order that depends on the threads.
-    low, low_next, high, high_next = (embedding(first + step, flat) for step in (0, 1, plane.shape[1], plane.shape[1] + 1))
+    low, low_next, high, high_next = embedding(corners, flat)
     low, high = torch.lerp(low, low_next, b), torch.lerp(high, high_next, b)
     return torch.lerp(low, high, a), (high - low) * rows
 

@@ -64,7 +64,7 @@ class SharedMotion(RigidMotion):
         return self.shared[name].to(like.dtype)
 
     def initial_shared(self) -> dict[str, Tensor]:
-        """Return values with which nothing moves; float32, the same every time."""
+        """Return values with which nothing moves, as training begins with them; float32, the same every time."""
         raise NotImplementedError
 
     def anneal(self, progress: float) -> dict[str, float]:
@@ -78,15 +78,17 @@ class SharedMotion(RigidMotion):
             params: of the first Gaussians, from ``start``.
             coefficients: [N, order, 3] a_n of mu(t) = mean + sum a_n tau^n, as in ``start``; order may be 0.
         """
-        initial = {**self.initial_shared(), **{name: torch.tensor(value) for name, value in self.anneal(1.0).items()}}
+        initial = self.initial_shared()
         if coefficients.shape[1] == 0 or len(coefficients) == 0:
             return initial
         generator = torch.Generator().manual_seed(0)
         rows = torch.randperm(len(coefficients), generator=generator)[:FIT_GAUSSIANS]
+        rows = rows.repeat(len(FIT_SIGMAS))
         some, followed = {name: value[rows] for name, value in params.items()}, coefficients[rows]
-        sigmas = torch.exp(-0.5 * self.log_precision(some))
-        spans = [sigma * sigmas for sigma in FIT_SIGMAS]
-        paths = [sum(followed[:, n] * span[:, None] ** (n + 1) for n in range(followed.shape[1])) for span in spans]
+        sigmas = torch.tensor(FIT_SIGMAS).repeat_interleave(len(rows) // len(FIT_SIGMAS))
+        spans = sigmas * torch.exp(-0.5 * self.log_precision(some))
+        powers = torch.stack([spans ** (n + 1) for n in range(followed.shape[1])], 1)
+        paths = torch.bmm(powers[:, None], followed)[:, 0]
         learned = [name for name, parameter in self.shared_parameters.items() if parameter.rate > 0]
         leaves = {name: value.clone().requires_grad_(name in learned) for name, value in initial.items()}
         adam = torch.optim.Adam([leaves[name] for name in learned], FIT_RATE)
@@ -94,12 +96,9 @@ class SharedMotion(RigidMotion):
         model = self.bind(leaves)
         with torch.enable_grad():
             for _ in range(FIT_STEPS):
-                errors = [
-                    (model.state(some, some["times"] + span).means - some["means"] - path).norm(dim=1).mean()
-                    for span, path in zip(spans, paths, strict=True)
-                ]
+                moved = model.state(some, some["times"] + spans).means - some["means"]
                 adam.zero_grad()
-                torch.stack(errors).mean().backward()
+                (moved - paths).norm(dim=1).mean().backward()
                 adam.step()
                 schedule.step()
         return {name: value.detach() for name, value in leaves.items()}
