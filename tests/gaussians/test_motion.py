@@ -129,7 +129,9 @@ def test_the_first_gaussians_follow_their_paths(kind):
     count = 200
     means, times = torch.rand(count, 3, generator=g), torch.rand(count, generator=g)
     left = means[:, :1] < 0.5
-    coefficients = torch.where(left[..., None], torch.tensor([[0.4, 0.0, 0.1]]), torch.tensor([[0.0, -0.3, 0.0]])).expand(count, 1, 3)
+    coefficients = torch.where(left[..., None], torch.tensor([[0.4, 0.0, 0.1]]), torch.tensor([[0.0, -0.3, 0.0]])).expand(
+        count, 1, 3
+    )
     quats, scales = torch.tensor([1.0, 0, 0, 0]).expand(count, 4), torch.full((count, 3), 0.02)
     log_lambdas = torch.full((count,), math.log(1 / 0.1**2))
     shapes = {name: parameter.shape for name, parameter in motion.parameters.items()}

@@ -158,7 +158,9 @@ def load_model(folder: Path) -> SceneModel:
         others = {"dynamic", "object_ids", *_FOUND, *(f"{_SHARED}{name}" for name in shared)}
         params = {name: tensor for name, tensor in tensors.items() if name not in others}
         found = {name: tensors.get(name) for name in _FOUND}
-        gaussians = Gaussians4D(params, dynamic, ModelConfig(**value["model"]), value["sh_degree"], object_ids, **found, shared=shared)
+        gaussians = Gaussians4D(
+            params, dynamic, ModelConfig(**value["model"]), value["sh_degree"], object_ids, **found, shared=shared
+        )
         check_model(folder, gaussians)
         if not value["last"] > value["first"]:
             raise ValueError("its last frame is not after its first")
@@ -288,7 +290,9 @@ def load_checkpoint(folder: Path, similarity: Similarity, first: float, last: fl
         config = values["config"]
         params = {name.removeprefix("param."): value for name, value in tensors.items() if name.startswith("param.")}
         dynamic, object_ids = tensors["dynamic"].bool(), tensors["object_ids"].to(torch.uint8)
-        gaussians = Gaussians4D(params, dynamic, ModelConfig(**config["model"]), int(values["sh_degree"]), object_ids, shared=_shared_of(tensors))
+        gaussians = Gaussians4D(
+            params, dynamic, ModelConfig(**config["model"]), int(values["sh_degree"]), object_ids, shared=_shared_of(tensors)
+        )
         check_model(path, gaussians)
         model = SceneModel(gaussians, similarity, first, last, config["flow_model"], bool(config["fill"]), focal)
         return model, int(values["step"]), int(config["iterations"])

@@ -14,9 +14,9 @@ def models(
 ) -> None:  # fmt: skip
     """Motion models of several papers on the same clips: same start, priors, losses, steps and seeds; only the motion differs.
 
-    Held out are times in gaps of 1, 3 and 5 frames and at the end of the clip, and of rendered scenes the cameras from aside. Scenes
-    are prepared once, in OUT/scenes; each run is one process and one .json. The tables, with a verdict on every model, are in
-    OUT/models.md and OUT/models.html. The same command again continues where it was stopped.
+    Held out are times in gaps of 1, 3 and 5 frames and at the end of the clip, and of rendered scenes the cameras from aside.
+    Scenes are prepared once, in OUT/scenes; each run is one process and one .json. The tables, with a verdict on every model, are
+    in OUT/models.md and OUT/models.html. The same command again continues where it was stopped.
 
     Args:
         root: Folder with davis/<clip>/images and masks, and rig/<scene>.

@@ -80,6 +80,4 @@ def hold_out(scene: AblationScene) -> AblationScene:
     """
     case = scene.case
     frames = list_heldout(open_clip(case.source, case.config.input).num_frames)
-    return replace(
-        scene, case=replace(case, config=replace(case.config, input=replace(case.config.input, holdout_frames=frames)))
-    )
+    return replace(scene, case=replace(case, config=replace(case.config, input=replace(case.config.input, holdout_frames=frames))))

@@ -39,13 +39,13 @@ LINEUP = (
     _entrant("splines", "SplineGS", "all Gaussians have as many control points: none is pruned"),
     _entrant(
         "marbles", "Dynamic Gaussian Marbles",
-        "round Gaussians, of the background too, without brightness inside; groups are held together by the rigid loss of all models",
+        "round Gaussians, of the background too, without brightness inside; the rigid loss of all models holds groups together",
     ),
     _entrant("bases", "Shape of Motion", "motion is that of the bases: a Gaussian has none of its own"),
-    _entrant("hexplane", "4D Gaussians", "scales and opacities do not change in time; Gaussians fade in time as those of all models"),
+    _entrant("hexplane", "4D Gaussians", "scales do not change in time; Gaussians fade in it as those of all models"),
     _entrant(
         "deformation", "Deformable 3D Gaussians",
-        "a network of 4 layers of 64 in place of 8 of 256, which two cores cannot do; scales do not change in time, Gaussians fade in it",
+        "a network of 4 layers of 64, not 8 of 256, which two cores cannot do; scales do not change in time, Gaussians fade in it",
     ),
 )  # fmt: skip
 """All models, the base first."""

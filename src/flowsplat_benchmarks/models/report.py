@@ -17,13 +17,13 @@ from flowsplat_benchmarks.tables import Chart, Column, Result, Table, text
 
 TITLE = "Motion models"
 REMARKS = (
-    "All models have the same first Gaussians, priors, losses, frame-steps, seeds and density control, and at most as many Gaussians: "
-    "only the motion differs. Where a paper has another start or other losses, it is not that paper that is measured, but its motion.",
-    "Held-out times lie in gaps of 1, 3 and 5 frames and at the end of the clip; nothing of these frames is seen by priors, start or "
-    "training. In brackets: inside the masks of what moves.",
+    "All models have the same first Gaussians, priors, losses, frame-steps, seeds and density control, and at most as many "
+    "Gaussians: only the motion differs. Where a paper has another start or other losses, only its motion is measured.",
+    "Held-out times lie in gaps of 1, 3 and 5 frames and at the end of the clip; priors, start and training see nothing of them, "
+    "but cameras are estimated of all frames. In brackets: inside the masks of what moves.",
     "Differences are from the series. The spread is their standard deviation over seeds and scenes. A mean and a spread below "
-    f"{EVEN_DECIBELS} dB are no difference. Else a mean up to its spread is not separable; a larger one confirms that the other model "
-    "is worse, or contradicts it. One run has no spread.",
+    f"{EVEN_DECIBELS} dB are no difference. Else a mean up to its spread is not separable; a larger one confirms that the other "
+    "model is worse, or contradicts it. One run has no spread.",
 )
 EXPECTED = -1
 """The sign of the difference that is claimed of every other model."""
@@ -60,7 +60,10 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
     if measured:
         judged = {entrant: found for entrant in measured if entrant is not BASE and (found := _effect(entrant, results, "psnr"))}
         verdicts = [verdict(found, EXPECTED) for found in judged.values()]
-        tables = [_compare(measured, judged, scenes, results), *(_list_clip(measured, scene, scenes[scene], results) for scene in scenes)]
+        tables = [
+            _compare(measured, judged, scenes, results),
+            *(_list_clip(measured, scene, scenes[scene], results) for scene in scenes),
+        ]
     seeds = ", ".join(map(str, sorted({result["seed"] for result in results})))
     steps = ", ".join(f"{count:,}" for count in sorted({result["iterations"] for result in results}))
     remarks = [*REMARKS, how_measured(results), f"Seeds {seeds}; {steps} frame-steps."] if results else []
@@ -79,11 +82,12 @@ def _compare(
 ) -> Table:
     header = ("", *scenes.values(), "mean", "spread", "SSIM", "verdict", "times as long")
     rows = [_describe_base(scenes, results), *(_describe(entrant, found, scenes, results) for entrant, found in judged.items())]
-    limits = [f"{entrant.variant.name}: {entrant.limits}." for entrant in measured if entrant.limits]
-    note = " ".join(
-        ["First row: values (PSNR of held-out times in dB); the others: differences from it. Times as long: training, by the clock.",
-         *(["What they cannot do here, or do otherwise than their papers:", *limits] if limits else [])]
-    )  # fmt: skip
+    note = (
+        "First row: values (PSNR of held-out times in dB); the others: differences from it. Times as long: training, by the clock."
+    )
+    limits = " ".join(f"{entrant.variant.name}: {entrant.limits}." for entrant in measured if entrant.limits)
+    if limits:
+        note += f" What they cannot do here, or do otherwise than their papers: {limits}"
     chart = bar_chart(
         {entrant.variant.label: (found.mean,) for entrant, found in judged.items()},
         ("difference, with the spread",), title=f"{TITLE}: difference in PSNR of held-out times", x_label="difference in PSNR, dB",
@@ -95,11 +99,10 @@ def _compare(
 def _describe_base(scenes: Mapping[str, str], results: Sequence[Result]) -> tuple[str, ...]:
     psnr, inside, ssim = (by_run(results, BASE.variant.name, path) for path in (
         ("times", "psnr"), ("times", "moving", "psnr"), ("times", "ssim")))  # fmt: skip
-    by_scene = [
-        tuple(mean_of(value for run, value in found.items() if run[0] == scene) for found in (psnr, inside)) for scene in scenes
-    ]
-    means = (mean_of(value[k] for value in by_scene) for k in (0, 1))
-    cells = (*(_both(*value) for value in by_scene), _both(*means), NOTHING, text(mean_of(ssim.values()), 3))
+    by_scene = [[mean_of(found[run] for run in found if run[0] == scene) for found in (psnr, inside)] for scene in scenes]
+    whole, moving = ([value[k] for value in by_scene] for k in (0, 1))
+    values = [_both(*pair) for pair in zip(whole, moving, strict=True)]
+    cells = (*values, _both(mean_of(whole), mean_of(moving)), NOTHING, text(mean_of(ssim.values()), 3))
     return (BASE.variant.label, *cells, NOTHING, text(1.0, 2))
 
 

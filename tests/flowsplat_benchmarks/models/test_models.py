@@ -1,4 +1,4 @@
-"""The benchmark of motion models on a tiny data root: which frames are held out, what is measured, and what the tables say of it."""
+"""The benchmark of motion models on a tiny data root: which frames are held out, what is measured, and what tables say of it."""
 
 from __future__ import annotations
 

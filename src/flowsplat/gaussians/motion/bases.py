@@ -103,7 +103,7 @@ def _conjugate(quats: Tensor) -> Tensor:
 
 
 def _group(means: Tensor, velocities: Tensor, count: int) -> Tensor:
-    """Return [N, count] logits of groups of Gaussians by place and velocity [N, 3] each, both in units of their spread (k-means)."""
+    """Return [N, count] logits of groups of Gaussians by place and velocity [N, 3], both in units of their spread (k-means)."""
     features = torch.cat([_scale(means), _scale(velocities)], 1)
     centers = features[:1]
     for _ in range(1, count):  # each as far from the others as any is

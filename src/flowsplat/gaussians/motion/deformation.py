@@ -71,8 +71,8 @@ class DeformationMotion(FieldMotion):
 
 
 def _encode(values: Tensor, count: int, octaves: Tensor) -> tuple[Tensor, Tensor]:
-    """Return [N, D (1 + 2 count)] the values [N, D] and the sines and cosines of 2^k times them, as far as ``octaves`` are in use, and
-    the derivatives of each with respect to its value."""
+    """Return [N, D (1 + 2 count)] the values [N, D] and the sines and cosines of 2^k times them, as far as ``octaves`` are in use,
+    and the derivatives of each with respect to its value."""
     k = torch.arange(count, dtype=values.dtype, device=values.device)
     window = 0.5 * (1 - torch.cos(math.pi * (octaves - k).clamp(0, 1)))
     phases = values[:, :, None] * 2**k

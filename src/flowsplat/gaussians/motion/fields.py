@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -31,7 +32,7 @@ class FieldMotion(SharedMotion):
         return {**super().parameters, "anchors": Parameter((3,), "motion", moves=True)}
 
     def ask(self, anchors: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
-        """Return [N, ``OFFSET_NUMBERS``] what the field says of places [N, 3] at times [N], and its derivative with respect to t."""
+        """Return [N, ``OFFSET_NUMBERS``] what the field says of places [N, 3] at times [N], and its derivative in time."""
         raise NotImplementedError
 
     def start(
@@ -68,7 +69,7 @@ def layer_parameters(widths: Sequence[int], rate: float) -> dict[str, SharedPara
     """Return the weights [out, in] and biases [out] of a network whose layers have these widths, the input first; the last has no
     bias, which all times would have in common."""
     found = {}
-    for k, (before, after) in enumerate(zip(widths[:-1], widths[1:], strict=True)):
+    for k, (before, after) in enumerate(pairwise(widths)):
         found[f"weights_{k}"] = SharedParameter((after, before), rate)
         if k < len(widths) - 2:
             found[f"biases_{k}"] = SharedParameter((after,), rate)
@@ -79,7 +80,7 @@ def initial_layers(widths: Sequence[int], generator: torch.Generator, last: floa
     """Return weights drawn as He et al. do for ReLU (https://arxiv.org/abs/1502.01852), those of the last layer ``last`` times as
     large."""
     found = {}
-    for k, (before, after) in enumerate(zip(widths[:-1], widths[1:], strict=True)):
+    for k, (before, after) in enumerate(pairwise(widths)):
         drawn = torch.randn(after, before, generator=generator) * (2 / before) ** 0.5
         if k < len(widths) - 2:
             found[f"weights_{k}"], found[f"biases_{k}"] = drawn, torch.zeros(after)
@@ -89,7 +90,7 @@ def initial_layers(widths: Sequence[int], generator: torch.Generator, last: floa
 
 
 def apply_layers(layers: Mapping[str, Tensor], inputs: Tensor, rates: Tensor) -> tuple[Tensor, Tensor]:
-    """Return [N, out] what the network makes of inputs [N, in], and its derivative where theirs is ``rates`` [N, in]; ReLU between."""
+    """Return [N, out] what a network with ReLU makes of inputs [N, in], and its derivative where theirs is ``rates`` [N, in]."""
     last = len(layers) // 2
     for k in range(last):
         inputs, rates = inputs @ layers[f"weights_{k}"].T + layers[f"biases_{k}"], rates @ layers[f"weights_{k}"].T

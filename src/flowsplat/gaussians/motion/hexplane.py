@@ -22,8 +22,8 @@ DECODER_WIDTH = 64
 PLANE_RATE, DECODER_RATE = 1.6e-3, 8e-4
 """Learning rates of the planes, that of the paper, and of the decoder at the start. Chosen by eye."""
 LAST_LAYER_SCALE = 0.1
-"""How large the weights of the last layer are at the start: as nothing changes in time, nothing moves, and with 0 no plane would get a
-gradient. Chosen by eye."""
+"""How large the weights of the last layer are at the start: as nothing changes in time, nothing moves, and with 0 no plane would
+get a gradient. Chosen by eye."""
 SPACE_PLANES, TIME_PLANES = ((0, 1), (0, 2), (1, 2)), (0, 1, 2)
 """Which two axes of space a plane has, and which one beside time."""
 
@@ -84,8 +84,8 @@ class HexplaneMotion(FieldMotion):
 
 
 def _look_up(plane: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
-    """Return [N, F] what a plane [U, V, F] says at places u and v [N], 0 to 1, interpolated bilinearly, and its derivative with respect
-    to u. Beyond its border u goes on as in its last cell."""
+    """Return [N, F] what a plane [U, V, F] says at places u and v [N], 0 to 1, interpolated bilinearly, and its derivative with
+    respect to u. Beyond its border u goes on as in its last cell."""
     rows, columns = plane.shape[0] - 1, plane.shape[1] - 1
     i, j = ((place * cells).detach().floor().clamp(0, cells - 1).long() for place, cells in ((u, rows), (v, columns)))
     a, b = (u * rows - i)[:, None], (v * columns - j)[:, None]

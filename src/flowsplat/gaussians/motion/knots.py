@@ -14,8 +14,8 @@ FIT_AT_A_TIME = 8192
 PATH_SIGMAS = (-1.5, -1.0, -0.5, 0.5, 1.0, 1.5)
 """At which times from its center, in standard deviations of its presence, a path that is fitted is asked for. Chosen by eye."""
 BEND_WEIGHT, VALUE_WEIGHT = 1e-2, 1e-5
-"""What the squares of the second differences of the knots and of their values count in that fit, relative to the path: where it says
-nothing the knots go on straight. Chosen by eye."""
+"""What the squares of the second differences of the knots and of their values count in that fit, relative to the path: where it
+says nothing the knots go on straight. Chosen by eye."""
 
 
 def cubic_weights(t: Tensor, count: int) -> tuple[Tensor, Tensor]:
@@ -69,13 +69,12 @@ def fit_knots(weigh: WeighKnots, times: Tensor, sigmas: Tensor, coefficients: Te
         coefficients: [N, order, 3] a_n of the path sum a_n tau^n; order may be 0.
         count: knots.
     """
-    parts = [
-        _fit_some(weigh, *part, count) for part in zip(*(values.split(FIT_AT_A_TIME) for values in (times, sigmas, coefficients)), strict=True)
-    ]
+    at_a_time = (values.split(FIT_AT_A_TIME) for values in (times, sigmas, coefficients))
+    parts = [_fit_some(weigh, *some, count=count) for some in zip(*at_a_time, strict=True)]
     return torch.cat(parts) if parts else coefficients.new_zeros(0, count, 3)
 
 
-def _fit_some(weigh: WeighKnots, times: Tensor, sigmas: Tensor, coefficients: Tensor, count: int) -> Tensor:
+def _fit_some(weigh: WeighKnots, times: Tensor, sigmas: Tensor, coefficients: Tensor, *, count: int) -> Tensor:
     if coefficients.shape[1] == 0:
         return coefficients.new_zeros(len(times), count, 3)
     spans = sigmas.double()[:, None] * torch.tensor(PATH_SIGMAS, dtype=torch.float64)

@@ -17,8 +17,8 @@ from flowsplat.gaussians.motion.rigid import RigidMotion
 class MarbleMotion(RigidMotion):
     """mu(t) = mean + P(t) - P(mu_t), with P straight lines between places of each Gaussian; one scale and no rotation.
 
-    Dynamic Gaussian Marbles for Novel View Synthesis of Casual Monocular Videos, https://arxiv.org/abs/2406.18717. What keeps groups
-    of them together there, the isometry loss among neighbors, is here the rigid loss, which all models have.
+    Dynamic Gaussian Marbles for Novel View Synthesis of Casual Monocular Videos, https://arxiv.org/abs/2406.18717. What keeps
+    groups of them together there, the isometry loss among neighbors, is here the rigid loss, which all models have.
     """
 
     knots: int

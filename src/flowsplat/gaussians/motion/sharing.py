@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing_extensions import Self
 
 import torch
 from torch import Tensor
+from typing_extensions import Self
 
-from flowsplat.gaussians.motion.protocol import Params
+from flowsplat.gaussians.motion.protocol import MotionState, Params
 from flowsplat.gaussians.motion.rigid import RigidMotion
 
 FIT_GAUSSIANS = 4096
@@ -65,6 +65,10 @@ class SharedMotion(RigidMotion):
 
     def initial_shared(self) -> dict[str, Tensor]:
         """Return values with which nothing moves, as training begins with them; float32, the same every time."""
+        raise NotImplementedError
+
+    def state(self, params: Params, t: float | Tensor) -> MotionState:
+        """See ``MotionModel``."""
         raise NotImplementedError
 
     def anneal(self, progress: float) -> dict[str, float]:

@@ -26,7 +26,10 @@ class SplineMotion(RigidMotion):
     @property
     def parameters(self) -> dict[str, Parameter]:
         """See ``MotionModel``."""
-        motion = {"mean_knots": Parameter((self.knots, 3), "motion", moves=True), "quat_knots": Parameter((self.knots, 4), "motion", moves=True)}
+        motion = {
+            "mean_knots": Parameter((self.knots, 3), "motion", moves=True),
+            "quat_knots": Parameter((self.knots, 4), "motion", moves=True),
+        }
         return {**super().parameters, **motion}
 
     def start(
