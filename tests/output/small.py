@@ -53,9 +53,11 @@ def small_gaussians(config: ModelConfig = OURS, resting: int = 400, moving: int 
     params["sh"][:, 0] = 3 * (random(count, 3) - 0.5)
     params["sh"][:, 1:] *= 10
     params["log_gains"] = 0.3 * (random(count, config.gains) - 0.5)
-    for name in ("mean_poly", "mean_cos", "mean_sin", "mean_knots", "places", "quat_poly", "quat_cos", "quat_sin", "quat_knots"):
+    for name in ("mean_poly", "mean_cos", "mean_sin", "mean_knots", "quat_poly", "quat_cos", "quat_sin", "quat_knots"):
         if name in params:
             params[name] *= dynamic[:, None, None] * (40 if name.startswith("quat") else 20)
+    if "places" in params:
+        params["places"] *= 5  # the page rounds kinks, and so it does these, less than 8 bits tell
     if "quats" in params:
         params["quats"] = random(count, 4) - 0.5
         params["log_scales"] = torch.log(0.02 + 0.05 * random(count, 3))
@@ -71,7 +73,7 @@ def small_gaussians(config: ModelConfig = OURS, resting: int = 400, moving: int 
     shared = {}
     if isinstance(motion := motion_model(config), SharedMotion):
         params["anchors" if "anchors" in params else "basis_logits"] *= 50
-        shared = {name: value + 0.1 * (random(*value.shape) - 0.5) for name, value in motion.initial_shared().items()}
+        shared = {name: value + 0.1 * (torch.rand(value.shape, generator=generator) - 0.5) for name, value in motion.initial_shared().items()}
     return Gaussians4D(params, dynamic, config, config.sh_degree, object_ids, shared=shared)
 
 

@@ -58,8 +58,8 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
     tables, verdicts = [], []
     measured = [entrant for entrant in LINEUP if any(result["variant"] == entrant.variant.name for result in results)]
     if measured:
-        judged = {entrant: found for entrant in measured if entrant is not BASE and (found := _effect(entrant, results, "psnr"))}
-        verdicts = [verdict(found, EXPECTED) for found in judged.values()]
+        judged = [(entrant, found) for entrant in measured if entrant is not BASE and (found := _effect(entrant, results, "psnr"))]
+        verdicts = [verdict(found, EXPECTED) for _, found in judged]
         tables = [
             _compare(measured, judged, scenes, results),
             *(_list_clip(measured, scene, scenes[scene], results) for scene in scenes),
@@ -78,10 +78,10 @@ def _effect(entrant: Entrant, results: Sequence[Result], *figure: str) -> Effect
 
 
 def _compare(
-    measured: Sequence[Entrant], judged: Mapping[Entrant, Effect], scenes: Mapping[str, str], results: Sequence[Result]
+    measured: Sequence[Entrant], judged: Sequence[tuple[Entrant, Effect]], scenes: Mapping[str, str], results: Sequence[Result]
 ) -> Table:
     header = ("", *scenes.values(), "mean", "spread", "SSIM", "verdict", "times as long")
-    rows = [_describe_base(scenes, results), *(_describe(entrant, found, scenes, results) for entrant, found in judged.items())]
+    rows = [_describe_base(scenes, results), *(_describe(entrant, found, scenes, results) for entrant, found in judged)]
     note = (
         "First row: values (PSNR of held-out times in dB); the others: differences from it. Times as long: training, by the clock."
     )
@@ -89,9 +89,9 @@ def _compare(
     if limits:
         note += f" What they cannot do here, or do otherwise than their papers: {limits}"
     chart = bar_chart(
-        {entrant.variant.label: (found.mean,) for entrant, found in judged.items()},
+        {entrant.variant.label: (found.mean,) for entrant, found in judged},
         ("difference, with the spread",), title=f"{TITLE}: difference in PSNR of held-out times", x_label="difference in PSNR, dB",
-        spreads={entrant.variant.label: found.spread for entrant, found in judged.items() if found.spread is not None},
+        spreads={entrant.variant.label: found.spread for entrant, found in judged if found.spread is not None},
     )  # fmt: skip
     return Table("Held-out times", note, header, rows, (0,), (Chart("models.svg", chart),) if judged else ())
 
