@@ -73,7 +73,10 @@ def small_gaussians(config: ModelConfig = OURS, resting: int = 400, moving: int 
     shared = {}
     if isinstance(motion := motion_model(config), SharedMotion):
         params["anchors" if "anchors" in params else "basis_logits"] *= 50
-        shared = {name: value + 0.1 * (torch.rand(value.shape, generator=generator) - 0.5) for name, value in motion.initial_shared().items()}
+        shared = {
+            name: value + 0.1 * (torch.rand(value.shape, generator=generator) - 0.5)
+            for name, value in motion.initial_shared().items()
+        }
     return Gaussians4D(params, dynamic, config, config.sh_degree, object_ids, shared=shared)
 
 

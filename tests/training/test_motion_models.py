@@ -93,7 +93,7 @@ def test_rates_of_what_gaussians_share_fall_as_those_of_motion(observations):
     trainer = Trainer(observations, None, config)
     trainer.begin()
     declared = trainer.gaussians.motion.shared_parameters["basis_quats"]
-    first, last = (trainer.rates.shared_at(step, trainer.gaussians)["basis_quats"] for step in (0, 1))
+    first, last = (trainer.rates.of_shared(step, trainer.gaussians)["basis_quats"] for step in (0, 1))
     assert len(first) == 3 * 6 * 4
     assert float(first[0]) == pytest.approx(declared.rate)
     assert float(last[0]) == pytest.approx(declared.rate * config.rates.motion_decay)

@@ -112,8 +112,10 @@ class Gaussians4D:
         for name, shape in expected.items():
             if tuple(self.params[name].shape) != (len(self), *shape):
                 raise ValueError(f"{name} must be {[len(self), *shape]}, not {list(self.params[name].shape)}")
-        if shared_shapes(self.config) != {name: tuple(value.shape) for name, value in self.shared.items()}:
-            raise ValueError(f"shared parameters {sorted(self.shared)} do not fit the model {sorted(shared_shapes(self.config))}")
+        if list_shared_shapes(self.config) != {name: tuple(value.shape) for name, value in self.shared.items()}:
+            raise ValueError(
+                f"shared parameters {sorted(self.shared)} do not fit the model {sorted(list_shared_shapes(self.config))}"
+            )
         if isinstance(self.motion, SharedMotion):
             self.motion = self.motion.bind(self.shared)
         if not len(self.object_ids):
@@ -282,7 +284,7 @@ def parameter_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
     }
 
 
-def shared_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
+def list_shared_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
     """Return every parameter that a model's Gaussians share, and its shape."""
     motion = motion_model(config)
     shared = motion.shared_parameters if isinstance(motion, SharedMotion) else {}

@@ -29,7 +29,7 @@ from flowsplat.geometry.cameras import MAX_COORDINATE
 MODEL_VERSION = 5
 _FOUND = ("seen", "shadow_free")
 """What is found when training ends, where it was."""
-_SHARED = "shared."
+_SHARED_PREFIX = "shared."
 """Before the names of parameters that Gaussians share, which are no rows."""
 _MAX_LOG = 80.0
 """Logarithm of what still is a float32."""
@@ -59,7 +59,7 @@ def read_tensors(path: Path, rows: int | None = None) -> tuple[dict[str, Tensor]
     try:
         with safe_open(path, framework="pt") as file:
             names = list(file.keys())
-            for name in (name for name in names if rows is not None and not name.startswith(_SHARED)):
+            for name in (name for name in names if rows is not None and not name.startswith(_SHARED_PREFIX)):
                 shape = file.get_slice(name).get_shape()
                 if not shape or shape[0] != rows:
                     raise InputError(f"{path} is damaged: {name} has shape {shape}, and there are {rows:,} Gaussians.")
@@ -113,7 +113,7 @@ def save_model(folder: Path, model: SceneModel) -> None:
     """Write a trained model: ``gaussians.safetensors`` and a ``model.json`` that a person can read."""
     g = model.gaussians
     known = {name: value for name in _FOUND if (value := getattr(g, name)) is not None}
-    shared = {f"{_SHARED}{name}": value for name, value in g.shared.items()}
+    shared = {f"{_SHARED_PREFIX}{name}": value for name, value in g.shared.items()}
     tensors = {**g.params, **shared, "dynamic": g.dynamic, "object_ids": g.object_ids, **known}
     write_tensors(folder / "gaussians.safetensors", tensors, {})
     value = {
@@ -154,8 +154,8 @@ def load_model(folder: Path) -> SceneModel:
     try:
         tensors, _ = read_tensors(folder / "gaussians.safetensors", value["gaussians"])
         dynamic, object_ids = tensors["dynamic"].to(torch.bool), tensors["object_ids"].to(torch.uint8)
-        shared = _shared_of(tensors)
-        others = {"dynamic", "object_ids", *_FOUND, *(f"{_SHARED}{name}" for name in shared)}
+        shared = _take_shared(tensors)
+        others = {"dynamic", "object_ids", *_FOUND, *(f"{_SHARED_PREFIX}{name}" for name in shared)}
         params = {name: tensor for name, tensor in tensors.items() if name not in others}
         found = {name: tensors.get(name) for name in _FOUND}
         gaussians = Gaussians4D(
@@ -175,8 +175,8 @@ def load_model(folder: Path) -> SceneModel:
         raise InputError(f"{folder} does not hold a trained model: {error}.") from error
 
 
-def _shared_of(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    return {name.removeprefix(_SHARED): value for name, value in tensors.items() if name.startswith(_SHARED)}
+def _take_shared(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {name.removeprefix(_SHARED_PREFIX): value for name, value in tensors.items() if name.startswith(_SHARED_PREFIX)}
 
 
 def check_model(path: Path, gaussians: Gaussians4D) -> None:
@@ -291,7 +291,7 @@ def load_checkpoint(folder: Path, similarity: Similarity, first: float, last: fl
         params = {name.removeprefix("param."): value for name, value in tensors.items() if name.startswith("param.")}
         dynamic, object_ids = tensors["dynamic"].bool(), tensors["object_ids"].to(torch.uint8)
         gaussians = Gaussians4D(
-            params, dynamic, ModelConfig(**config["model"]), int(values["sh_degree"]), object_ids, shared=_shared_of(tensors)
+            params, dynamic, ModelConfig(**config["model"]), int(values["sh_degree"]), object_ids, shared=_take_shared(tensors)
         )
         check_model(path, gaussians)
         model = SceneModel(gaussians, similarity, first, last, config["flow_model"], bool(config["fill"]), focal)

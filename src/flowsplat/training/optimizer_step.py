@@ -94,7 +94,7 @@ class OptimizerStep:
 
     def _step_shared(self, state: TrainState, optimizer: RowAdam, gradients: Gradients) -> None:
         """Step what all Gaussians share, each parameter as one row."""
-        rates = self._rates.shared_at(state.step, state.gaussians)
+        rates = self._rates.of_shared(state.step, state.gaussians)
         row = torch.zeros(1, dtype=torch.int64, device=state.gaussians.device)
         stepped = torch.ones_like(row, dtype=torch.bool)
         optimizer.begin_step(row, stepped)

@@ -52,7 +52,7 @@ class LearningRates:
         together = upload(np.concatenate(list(result.values())) * np.float32(r.moving if moving else 1), self.device)
         return dict(zip(result, together.split([len(rate) for rate in result.values()]), strict=True))
 
-    def shared_at(self, step: int, gaussians: Gaussians4D) -> dict[str, Tensor]:
+    def of_shared(self, step: int, gaussians: Gaussians4D) -> dict[str, Tensor]:
         """Return the rates of what Gaussians share and learn: one for every number of a parameter, by its name."""
         if not isinstance(gaussians.motion, SharedMotion):
             return {}

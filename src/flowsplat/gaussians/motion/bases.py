@@ -86,7 +86,7 @@ class BasesMotion(SharedMotion):
 
     def _blend(self, weights: Tensor, blend: Tensor) -> Tensor:
         """Return [N, 7] the quaternion and the translation of every Gaussian, from weights [N, knots] and [N, bases]."""
-        together = torch.cat([self.shared_like(name, weights) for name in ("basis_quats", "basis_translations")], 2)
+        together = torch.cat([self.read_shared(name, weights) for name in ("basis_quats", "basis_translations")], 2)
         each = (weights @ together.transpose(0, 1).flatten(1)).unflatten(1, (self.bases, 7))
         return torch.bmm(blend[:, None], each)[:, 0]
 

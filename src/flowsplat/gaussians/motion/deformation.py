@@ -63,10 +63,10 @@ class DeformationMotion(FieldMotion):
 
     def ask(self, anchors: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
         """See ``FieldMotion``."""
-        octaves = self.shared_like("octaves", t)
+        octaves = self.read_shared("octaves", t)
         place, _ = _encode(math.pi / PLACE_RANGE * anchors, self.place_octaves, octaves)
         time, rates = _encode(math.pi * t[:, None], self.time_octaves, octaves)
-        layers = {name: self.shared_like(name, t) for name in self.shared_parameters if name != "octaves"}
+        layers = {name: self.read_shared(name, t) for name in self.shared_parameters if name != "octaves"}
         return apply_layers(layers, torch.cat([place, time], 1), torch.cat([torch.zeros_like(place), math.pi * rates], 1))
 
 

@@ -70,7 +70,7 @@ class HexplaneMotion(FieldMotion):
         place = 0.5 + 0.5 * anchors / (1 + anchors.abs())
         features, rates = [], []
         for level in range(len(self.resolutions)):
-            spaces, times = (self.shared_like(f"{kind}_planes_{level}", t) for kind in ("space", "time"))
+            spaces, times = (self.read_shared(f"{kind}_planes_{level}", t) for kind in ("space", "time"))
             product, rate = torch.ones_like(t)[:, None], torch.zeros_like(t)[:, None]
             for plane, (one, other) in zip(spaces, SPACE_PLANES, strict=True):
                 product = product * _look_up(plane, place[:, one], place[:, other])[0]
@@ -79,7 +79,7 @@ class HexplaneMotion(FieldMotion):
                 product, rate = product * value, rate * value + product * change
             features.append(product)
             rates.append(rate)
-        layers = {name: self.shared_like(name, t) for name in self.shared_parameters if "planes" not in name}
+        layers = {name: self.read_shared(name, t) for name in self.shared_parameters if "planes" not in name}
         return apply_layers(layers, torch.cat(features, 1), torch.cat(rates, 1))
 
 

@@ -59,7 +59,7 @@ class SharedMotion(RigidMotion):
         """Return the same model with these values."""
         return replace(self, shared=shared)
 
-    def shared_like(self, name: str, like: Tensor) -> Tensor:
+    def read_shared(self, name: str, like: Tensor) -> Tensor:
         """Return the value of one, in the type of ``like``: what looks at a trained scene may do so in float64."""
         return self.shared[name].to(like.dtype)
 
