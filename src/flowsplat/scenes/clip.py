@@ -56,7 +56,7 @@ class InputOptions:
     """Long side of the frames in pixels, 0 to keep their size; the default is at most 854. Frames are never enlarged."""
     holdout: Annotated[int | None, Meta(ge=2, le=MAX_NUMBER)] = 10
     """Hold one frame in so many out of training, to measure with; none trains on all. Input with held-out cameras trains on all."""
-    holdout_frames: tuple[Annotated[int, Meta(ge=0, le=MAX_NUMBER)], ...] = field(default=(), metadata=LEFT_OUT_BY_DEFAULT)
+    holdout_frames: tuple[int, ...] = field(default=(), metadata=LEFT_OUT_BY_DEFAULT)
     """Hold out the frames of these numbers, from 0 on, instead; also of input with held-out cameras."""
     sequence: str | None = None
     """Name of the sequence, where the input is the root folder of the DAVIS data set."""
