@@ -9,8 +9,7 @@ from torch import Tensor
 
 WeighKnots = Callable[[Tensor, int], tuple[Tensor, Tensor]]
 FIT_AT_A_TIME = 8192
-"""Gaussians whose knots are fitted at a time, for the memory."""
-
+"""Gaussians whose knots are fitted at a time, for the memory. Chosen by eye."""
 PATH_SIGMAS = (-1.5, -1.0, -0.5, 0.5, 1.0, 1.5)
 """At which times from its center, in standard deviations of its presence, a path that is fitted is asked for. Chosen by eye."""
 BEND_WEIGHT, VALUE_WEIGHT = 1e-2, 1e-5
