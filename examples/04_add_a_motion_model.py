@@ -29,13 +29,15 @@ class Thrown(RigidMotion):
         motion = {name: Parameter((3,), "motion", moves=True) for name in ("velocities", "accelerations")}
         return {**super().parameters, **motion}
 
-    def start(self, quats: Tensor, scales: Tensor, log_lambdas: Tensor, coefficients: Tensor) -> dict[str, Tensor]:
+    def start(
+        self, means: Tensor, times: Tensor, quats: Tensor, scales: Tensor, log_lambdas: Tensor, coefficients: Tensor
+    ) -> dict[str, Tensor]:  # fmt: skip
         order = coefficients.shape[1]
         fitted = torch.nn.functional.pad(coefficients, (0, 0, 0, max(2 - order, 0)))
         motion = {"velocities": fitted[:, 0], "accelerations": 2 * fitted[:, 1]}
-        return {**super().start(quats, scales, log_lambdas, coefficients), **motion}
+        return {**super().start(means, times, quats, scales, log_lambdas, coefficients), **motion}
 
-    def state(self, params: Params, t: float) -> MotionState:
+    def state(self, params: Params, t: float | Tensor) -> MotionState:
         tau = (t - params["times"])[:, None]
         velocities, accelerations = params["velocities"], params["accelerations"]
         return MotionState(

@@ -37,7 +37,7 @@ class Balls:
     def log_scales(self, params):
         return params["log_radii"][:, None].expand(-1, 3).contiguous()
 
-    def start(self, quats, scales, log_lambdas, coefficients):
+    def start(self, means, times, quats, scales, log_lambdas, coefficients):
         drifts = coefficients[:, 0] if coefficients.shape[1] else torch.zeros(len(quats), 3)
         return {"drifts": drifts, "log_radii": torch.log(scales).mean(1), "log_lives": -0.5 * log_lambdas}
 

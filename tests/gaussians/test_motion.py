@@ -8,7 +8,22 @@ import pytest
 import torch
 
 from flowsplat.gaussians.model_config import ModelConfig
-from flowsplat.gaussians.motion import LinearMotion, Parameter, SeriesMotion, covariances_4d, motion_model, presence
+from flowsplat.gaussians.motion import (
+    LinearMotion,
+    MotionModel,
+    Parameter,
+    SeriesMotion,
+    SharedMotion,
+    covariances_4d,
+    motion_model,
+    presence,
+)
+from flowsplat.gaussians.motion.bases import BasesMotion
+from flowsplat.gaussians.motion.deformation import DeformationMotion
+from flowsplat.gaussians.motion.hexplane import HexplaneMotion
+from flowsplat.gaussians.motion.knots import cubic_weights, linear_weights
+from flowsplat.gaussians.motion.marbles import MarbleMotion
+from flowsplat.gaussians.motion.splines import SplineMotion
 from tests.gaussians.balls import Balls
 
 
@@ -18,7 +33,24 @@ def random_params(motion, count=7, seed=0):
     return {name: 0.5 * torch.randn(count, *shape, generator=g, dtype=torch.float64) for name, shape in shapes.items()}
 
 
-MOTIONS = [SeriesMotion(), SeriesMotion(2, 1, 1, 0, 3.0), SeriesMotion(1, 0, 0, 0), LinearMotion(), Balls()]
+def bind_random(motion: SharedMotion) -> SharedMotion:
+    """With other values than those with which nothing moves."""
+    g = torch.Generator().manual_seed(1)
+    shared = {name: value.double() for name, value in motion.initial_shared().items()}
+    return motion.bind({name: value + 0.5 * torch.randn(value.shape, generator=g).double() for name, value in shared.items()})
+
+
+SHARING = [
+    bind_random(motion)
+    for motion in (
+        BasesMotion(5, 3), DeformationMotion(layers=2, width=5, place_octaves=3, time_octaves=4),
+        HexplaneMotion(4, resolutions=(3, 4), features=2, width=5),
+    )
+]  # fmt: skip
+MOTIONS: list[MotionModel] = [
+    SeriesMotion(), SeriesMotion(2, 1, 1, 0, 3.0), SeriesMotion(1, 0, 0, 0), LinearMotion(), Balls(), SplineMotion(6),
+    MarbleMotion(5), *SHARING,
+]  # fmt: skip
 UNKNOWN = Parameter((), "motion")
 
 
@@ -65,6 +97,72 @@ def test_gradients_are_those_of_the_values(motion):
     assert torch.autograd.gradcheck(values, tuple(params.values()))
 
 
+@pytest.mark.parametrize("motion", SHARING)
+def test_gradients_of_what_gaussians_share_are_those_of_the_values(motion):
+    params, shared = random_params(motion, count=3), {name: value.clone() for name, value in motion.shared.items()}
+    learned = [name for name, parameter in motion.shared_parameters.items() if parameter.rate > 0]
+
+    def values(*given):
+        state = motion.bind({**shared, **dict(zip(learned, given, strict=True))}).state(params, 0.3)
+        return state.means, state.velocities, state.quats
+
+    assert torch.autograd.gradcheck(values, tuple(shared[name].requires_grad_() for name in learned))
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_each_may_be_asked_for_a_time_of_its_own(motion):
+    params = random_params(motion)
+    times = torch.linspace(-0.2, 1.1, 7, dtype=torch.float64)
+    together = motion.state(params, times)
+    for k, t in enumerate(times.tolist()):
+        alone = motion.state(params, t)
+        for name in ("means", "velocities", "presence", "quats", "covars"):
+            if getattr(alone, name) is not None:
+                torch.testing.assert_close(getattr(together, name)[k], getattr(alone, name)[k], msg=name)
+
+
+@pytest.mark.parametrize("kind", ["series", "balls", "splines", "marbles", "bases", "hexplane", "deformation"])
+def test_the_first_gaussians_follow_their_paths(kind):
+    """Which is where all of them begin, whatever they are made of."""
+    motion = motion_model(ModelConfig(kind=kind))
+    g = torch.Generator().manual_seed(2)
+    count = 200
+    means, times = torch.rand(count, 3, generator=g), torch.rand(count, generator=g)
+    left = means[:, :1] < 0.5
+    coefficients = torch.where(left[..., None], torch.tensor([[0.4, 0.0, 0.1]]), torch.tensor([[0.0, -0.3, 0.0]])).expand(
+        count, 1, 3
+    )
+    quats, scales = torch.tensor([1.0, 0, 0, 0]).expand(count, 4), torch.full((count, 3), 0.02)
+    log_lambdas = torch.full((count,), math.log(1 / 0.1**2))
+    shapes = {name: parameter.shape for name, parameter in motion.parameters.items()}
+    params = {"means": means, "times": times, **{name: torch.zeros(count, *shape) for name, shape in shapes.items()}}
+    params |= motion.start(means, times, quats, scales, log_lambdas, coefficients)
+    if isinstance(motion, SharedMotion):
+        motion = motion.bind(motion.start_shared(params, coefficients))
+    moved = motion.state(params, times + 0.1).means - means
+    expected = 0.1 * coefficients[:, 0]
+    assert float((moved - expected).norm(dim=1).mean()) < 0.35 * float(expected.norm(dim=1).mean())
+    torch.testing.assert_close(motion.state(params, times).means, means, atol=1e-5, rtol=1e-4)
+
+
+@pytest.mark.parametrize("weigh", [cubic_weights, linear_weights])
+def test_knots_that_lie_on_a_line_give_that_line(weigh):
+    """Cubic ones from one piece before the clip to one behind it, as a B-spline has them."""
+    t = torch.linspace(-0.1, 1.1, 23, dtype=torch.float64)
+    first = -1 / 4 if weigh is cubic_weights else 0.0
+    line = torch.linspace(first, 1 - first, 7, dtype=torch.float64)
+    weights, rates = weigh(t, 7)
+    torch.testing.assert_close(weights @ line, t)
+    torch.testing.assert_close(rates @ line, torch.ones_like(t))
+    torch.testing.assert_close(weights.sum(1), torch.ones_like(t))
+
+
+def test_high_frequencies_come_in_one_after_the_other():
+    motion = DeformationMotion()
+    counts = [motion.anneal(progress)["octaves"] for progress in (0.0, 0.25, 0.5, 1.0)]
+    assert counts == [2.0, 6.0, 10.0, 10.0]
+
+
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_at_their_center_times_gaussians_have_the_shape_of_those_at_rest(motion):
     """Which takes nothing of what moves."""
@@ -107,6 +205,11 @@ def test_the_settings_name_the_model():
     for config in (ModelConfig(move_means=False, move_quats=False), ModelConfig(kind="linear")):
         assert motion_model(config) == LinearMotion()
     assert isinstance(motion_model(ModelConfig(kind="balls")), Balls)
+    assert motion_model(ModelConfig(kind="splines", knots=9)) == SplineMotion(9)
+    assert motion_model(ModelConfig(kind="marbles")) == MarbleMotion(16)
+    assert motion_model(ModelConfig(kind="bases", bases=4)) == BasesMotion(16, 4)
+    assert motion_model(ModelConfig(kind="hexplane")) == HexplaneMotion(16)
+    assert motion_model(ModelConfig(kind="deformation")) == DeformationMotion()
 
 
 @pytest.mark.parametrize("motion", MOTIONS)

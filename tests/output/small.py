@@ -11,6 +11,7 @@ import torch
 from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.model_config import ModelConfig
+from flowsplat.gaussians.motion import SharedMotion, motion_model
 from flowsplat.gaussians.render import render
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.output.player import write_player
@@ -25,6 +26,11 @@ OURS = ModelConfig(
 )
 PAPER = ModelConfig()
 LINEAR = ModelConfig(move_means=False, move_quats=False, sh_degree=2)
+OTHERS = {
+    kind: ModelConfig(kind=kind, knots=6, bases=3, sh_degree=1, freeze_background=True)
+    for kind in ("splines", "marbles", "bases", "hexplane", "deformation")
+}
+"""Motion models of other papers."""
 
 
 def small_gaussians(config: ModelConfig = OURS, resting: int = 400, moving: int = 250, seed: int = 0) -> Gaussians4D:
@@ -47,19 +53,31 @@ def small_gaussians(config: ModelConfig = OURS, resting: int = 400, moving: int 
     params["sh"][:, 0] = 3 * (random(count, 3) - 0.5)
     params["sh"][:, 1:] *= 10
     params["log_gains"] = 0.3 * (random(count, config.gains) - 0.5)
-    for name in ("mean_poly", "mean_cos", "mean_sin", "quat_poly", "quat_cos", "quat_sin"):
+    for name in ("mean_poly", "mean_cos", "mean_sin", "mean_knots", "quat_poly", "quat_cos", "quat_sin", "quat_knots"):
         if name in params:
             params[name] *= dynamic[:, None, None] * (40 if name.startswith("quat") else 20)
+    if "places" in params:
+        params["places"] *= 5  # the page rounds kinks, and so it does these, less than 8 bits tell
     if "quats" in params:
         params["quats"] = random(count, 4) - 0.5
         params["log_scales"] = torch.log(0.02 + 0.05 * random(count, 3))
+    elif "log_radii" in params:
+        params["log_radii"] = torch.log(0.02 + 0.05 * random(count))
+    if "log_lambdas" in params:
         params["log_lambdas"] = torch.where(dynamic, 2 + 3 * random(count), torch.full((count,), -13.8))
     else:
         params["quats_left"], params["quats_right"] = random(count, 4) - 0.5, random(count, 4) - 0.5
         params["log_scales4"] = torch.log(0.03 + 0.1 * random(count, 4))
     # Two objects, of the left and of the right.
     object_ids = torch.where(dynamic, torch.where(means[:, 0] < 0, 1, 2), 0).to(torch.uint8)
-    return Gaussians4D(params, dynamic, config, config.sh_degree, object_ids)
+    shared = {}
+    if isinstance(motion := motion_model(config), SharedMotion):
+        params["anchors" if "anchors" in params else "basis_logits"] *= 50
+        shared = {
+            name: value + 0.1 * (torch.rand(value.shape, generator=generator) - 0.5)
+            for name, value in motion.initial_shared().items()
+        }
+    return Gaussians4D(params, dynamic, config, config.sh_degree, object_ids, shared=shared)
 
 
 def small_model(

@@ -17,7 +17,7 @@ from flowsplat.pipeline.compiling import Ahead
 from flowsplat.pipeline.config import RunConfig, preset
 from flowsplat.pipeline.folder import RunFolder
 from flowsplat.pipeline.speed import estimate_seconds_of_clip
-from flowsplat.scenes.clip import Clip
+from flowsplat.scenes.clip import Clip, InputOptions
 from flowsplat.scenes.scene import split_frames
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic_video
 from flowsplat.training.checkpoint import load_model
@@ -55,7 +55,7 @@ def test_frames_are_spread_over_the_clip_or_its_beginning(frames, fps, last):
 
 def test_few_small_frames_are_read():
     clip = clip_of(100, 24.0, (1920, 1080))
-    coarse = CoarseClip.of(clip, 10)
+    coarse = CoarseClip.of(clip, InputOptions(holdout=10))
     images = list(coarse.frames(range(coarse.num_frames)))
     assert images[0].shape == (coarse.height, coarse.width, 3)
     assert max(coarse.width, coarse.height) == LONG_SIDE

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.settings import to_plain
 from flowsplat.scenes import Scene
 from flowsplat.scenes.ingest import InputOptions, fingerprint, ingest, kind_of_input, open_clip
 
@@ -188,6 +189,12 @@ def test_two_frames(folder, tmp_path):
 
 
 # -- fingerprints
+
+
+def test_frames_that_are_not_named_change_no_fingerprint(folder):
+    """Or what earlier versions have computed of an input would count for another."""
+    assert to_plain(OPTIONS) == {name: value for name, value in asdict(OPTIONS).items() if name != "holdout_frames"}
+    assert fingerprint(folder, replace(OPTIONS, holdout_frames=(1,))) != fingerprint(folder, OPTIONS)
 
 
 def test_fingerprint_does_not_depend_on_the_place(folder, tmp_path):

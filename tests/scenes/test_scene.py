@@ -56,6 +56,16 @@ def test_split():
     assert split_frames(3, None)[1] == []
 
 
+def test_frames_to_hold_out_can_be_named():
+    assert split_frames(6, 3, (5, 1, 1)) == ([0, 2, 3, 4], [1, 5])
+    assert split_frames(6, None, (0,))[1] == [0]
+    for wrong in ((6,), (-1, 2)):
+        with pytest.raises(InputError, match="numbers from 0 to 5"):
+            split_frames(6, 3, wrong)
+    with pytest.raises(InputError, match="at least two frames"):
+        split_frames(3, None, (0, 1))
+
+
 @pytest.mark.parametrize(("count", "holdout"), [(1, None), (0, 10), (2, 1), (30, 1)])
 def test_split_without_training_frames(count, holdout):
     with pytest.raises(InputError, match="at least two frames"):

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
+from flowsplat.gaussians.motion import SharedMotion, motion_model
 from flowsplat.gaussians.observations import Observation, Observations
 from flowsplat.gaussians.render import render
 from flowsplat.geometry import Camera, Similarity
@@ -22,10 +23,12 @@ def a_few(config: TrainConfig, count: int = 24) -> Gaussians4D:
     g = torch.Generator().manual_seed(0)
     params = {name: 0.1 * torch.randn(count, *shape, generator=g) for name, shape in parameter_shapes(config.model).items()}
     params["means"] = params["means"] * torch.tensor([3.0, 2.0, 1.0]) + torch.tensor([0.0, 0.0, 1.0])
-    params["log_scales"] -= 2.5
+    params["log_radii" if "log_radii" in params else "log_scales"] -= 2.5
     params["times"] = torch.randint(FRAMES, (count,), generator=g) / (FRAMES - 1)
     params["log_lambdas"] += 2.0
-    return Gaussians4D(params, torch.arange(count) % 3 > 0, config.model, config.model.sh_degree)
+    motion = motion_model(config.model)
+    shared = motion.initial_shared() if isinstance(motion, SharedMotion) else {}
+    return Gaussians4D(params, torch.arange(count) % 3 > 0, config.model, config.model.sh_degree, shared=shared)
 
 
 def seen(gaussians: Gaussians4D) -> Observations:

@@ -113,5 +113,5 @@ def test_it_can_be_exported_and_packed_for_the_page(observations):
 
 def test_an_unknown_model_is_named():
     config = tiny("default")
-    with pytest.raises(InputError, match=r"Unknown motion model 'circles': choose one of .*linear, series"):
+    with pytest.raises(InputError, match=r"Unknown motion model 'circles': choose one of .*linear, .*series"):
         replace(config, model=replace(config.model, kind="circles")).check()

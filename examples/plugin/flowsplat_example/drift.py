@@ -17,12 +17,14 @@ class Drift(RigidMotion):
         """Those of ``RigidMotion``, and a velocity."""
         return {**super().parameters, "drifts": Parameter((3,), "motion", moves=True)}
 
-    def start(self, quats: Tensor, scales: Tensor, log_lambdas: Tensor, coefficients: Tensor) -> dict[str, Tensor]:
+    def start(
+        self, means: Tensor, times: Tensor, quats: Tensor, scales: Tensor, log_lambdas: Tensor, coefficients: Tensor
+    ) -> dict[str, Tensor]:  # fmt: skip
         """Begin with the velocity that was fitted."""
         fitted = torch.nn.functional.pad(coefficients, (0, 0, 0, max(1 - coefficients.shape[1], 0)))
-        return {**super().start(quats, scales, log_lambdas, coefficients), "drifts": fitted[:, 0]}
+        return {**super().start(means, times, quats, scales, log_lambdas, coefficients), "drifts": fitted[:, 0]}
 
-    def state(self, params: Params, t: float) -> MotionState:
+    def state(self, params: Params, t: float | Tensor) -> MotionState:
         """Return them at a time."""
         tau = (t - params["times"])[:, None]
         return MotionState(

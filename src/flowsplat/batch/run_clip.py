@@ -34,7 +34,6 @@ from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.ingest import kind_of_input, open_clip
 from flowsplat.scenes.layers import read_image
-from flowsplat.scenes.scene import split_frames
 
 THUMB_WIDTH = 240
 """Pixels of an image in the page of a batch. Chosen by eye."""
@@ -103,7 +102,7 @@ def _memory(path: Path, options: InputOptions) -> float:
         scene = Scene(path)
         return estimate_memory(scene.width, scene.height, len(scene.train_frames))
     clip = open_clip(path, options)
-    train, _ = split_frames(clip.num_frames, None if clip.num_views else options.holdout)
+    train, _ = clip.split(options)
     return estimate_memory(clip.width, clip.height, len(train))
 
 

@@ -148,9 +148,9 @@ class _Evaluator:
     def score_heldout_frame(self, i: int) -> Figures:
         """Render, write and score a held-out frame with the camera that the camera stage found for it."""
         scene = self._scene
-        masks = scene.heldout_masks
         camera, target = scene.cameras[i], to_float(scene.heldout_frame(i))
-        regions = {"moving": masks.mask(i) > 0 if masks.has_mask(i) else None}
+        known = [layers for layers in (scene.heldout_masks, scene.truth) if layers is not None and layers.has_mask(i)]
+        regions = {"moving": known[0].mask(i) > 0 if known else None}
         what = {"kind": "heldout_frame", "name": f"{i:05d}", "frame": i}
         figures = self._heldout_image(what, "heldout", camera, target, regions)
         if self._refine is not None:

@@ -6,6 +6,8 @@ NaN.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 
@@ -69,14 +71,40 @@ def ssim_map(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     >>> round(float(ssim_map(ramp, ramp).mean()), 6), bool(ssim_map(ramp, 1 - ramp).mean() < 0.5)
     (1.0, True)
     """
-    a, b = _clip(a), _clip(b)
-    mean_a, mean_b = _blur(a), _blur(b)
-    var_a = np.maximum(_blur(a * a) - mean_a**2, 0)
-    var_b = np.maximum(_blur(b * b) - mean_b**2, 0)
-    covariance = _blur(a * b) - mean_a * mean_b
+    return _ssim_of(_clip(a), _clip(b), _blur)
+
+
+def _ssim_of(a: np.ndarray, b: np.ndarray, average: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Return the map of two images; ``average`` gives the mean of a window about every pixel."""
+    mean_a, mean_b = average(a), average(b)
+    var_a = np.maximum(average(a * a) - mean_a**2, 0)
+    var_b = np.maximum(average(b * b) - mean_b**2, 0)
+    covariance = average(a * b) - mean_a * mean_b
     luminance = (2 * mean_a * mean_b + SSIM_C1) / (mean_a**2 + mean_b**2 + SSIM_C1)
     structure = (2 * covariance + SSIM_C2) / (var_a + var_b + SSIM_C2)
     return luminance * structure
+
+
+def compute_masked_ssim(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float | None:
+    """Structural similarity of which only the pixels in ``mask`` [H, W] bool know anything; mean over these.
+
+    As ``ssim_map``, but every mean of a window is that of its pixels inside the mask (a partial convolution), so that what the clip
+    never saw counts nowhere: the mSSIM of DyCheck (https://arxiv.org/abs/2210.13445, section 4).
+
+    Returns:
+        None for fewer than ``MIN_PIXELS`` pixels.
+
+    >>> ramp = np.linspace(0, 1, 16 * 16 * 3).reshape(16, 16, 3)
+    >>> left = np.arange(16) < np.full((16, 1), 8)
+    >>> round(compute_masked_ssim(ramp, np.where(left[..., None], ramp, 0), left), 6)
+    1.0
+    """
+    weights = np.maximum(_blur(mask.astype(np.float64)), 1e-12)[..., None]
+
+    def inside(values: np.ndarray) -> np.ndarray:
+        return _blur(values * mask[..., None]) / weights
+
+    return mean_inside(_ssim_of(_clip(a), _clip(b), inside), mask)
 
 
 def end_point_error(flow: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> dict[str, float] | None:

@@ -111,7 +111,7 @@ def _split(parents: Gaussians4D, generator: torch.Generator) -> Gaussians4D:
         brighter = (params["slopes"] * noise[:, :2]).sum(1, keepdim=True)
         params["sh"] = torch.cat([params["sh"][:, :1] + (brighter / C0)[:, None], params["sh"][:, 1:]], 1)
         params["slopes"] = params["slopes"] / SPLIT_SHRINKING
-    return Gaussians4D(params, parents.dynamic, parents.config, parents.sh_degree, parents.object_ids)
+    return Gaussians4D(params, parents.dynamic, parents.config, parents.sh_degree, parents.object_ids, shared=parents.shared)
 
 
 def _draw_points(shape: Shape, noise: Tensor) -> Tensor:
@@ -195,8 +195,8 @@ def revise_dynamic(
     if len(rows):
         chosen = gaussians.select(rows)
         sigma = torch.exp(-0.5 * chosen.motion.log_precision(chosen.params))
-        center = chosen.motion.state({**chosen.params, "times": torch.zeros_like(sigma)}, 0.0)
-        side = chosen.motion.state({**chosen.params, "times": -sigma}, 0.0)
+        times = chosen.params["times"]
+        center, side = (chosen.motion.state(chosen.params, t) for t in (times, times + sigma))
         traveled = torch.maximum((side.means - center.means).norm(dim=1) / sigma.clamp(min=1e-6), center.velocities.norm(dim=1))
         speed[rows] = focal * traveled
     to_rest = gaussians.dynamic & visited & (speed < resting_pixels) & (residual < 0.5 * moving_residual)

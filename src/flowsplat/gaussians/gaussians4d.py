@@ -14,7 +14,7 @@ from flowsplat.common import devices
 from flowsplat.common.devices import Kernels, Later
 from flowsplat.gaussians.culling import RowCapacity, active_rows, border, pad_active_rows
 from flowsplat.gaussians.model_config import ModelConfig
-from flowsplat.gaussians.motion import MotionModel, motion_model, presence
+from flowsplat.gaussians.motion import MotionModel, SharedMotion, motion_model, presence
 from flowsplat.geometry import Camera
 from flowsplat.splatting.harmonics import harmonics_count
 from flowsplat.splatting.rules import EPS2D
@@ -88,6 +88,9 @@ class Gaussians4D:
             after training; None = not known.
         shadow_free: [N, 1 + G] float32, how bright each is without the shadows of what moves (``shadows.add_shadow_free``): the
             logarithm of a factor of its color, and gains in place of ``log_gains``. Known after training; None = not known.
+        shared: what the motion model shares among all Gaussians, by name (``motion.sharing``); float32, no rows. Most models have
+            none.
+        motion: the motion model, bound to ``shared``.
     """
 
     params: dict[str, Tensor]
@@ -97,6 +100,7 @@ class Gaussians4D:
     object_ids: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.uint8))
     seen: Tensor | None = None
     shadow_free: Tensor | None = None
+    shared: dict[str, Tensor] = field(default_factory=dict)
     motion: MotionModel = field(init=False)
 
     def __post_init__(self) -> None:
@@ -108,6 +112,12 @@ class Gaussians4D:
         for name, shape in expected.items():
             if tuple(self.params[name].shape) != (len(self), *shape):
                 raise ValueError(f"{name} must be {[len(self), *shape]}, not {list(self.params[name].shape)}")
+        if list_shared_shapes(self.config) != {name: tuple(value.shape) for name, value in self.shared.items()}:
+            raise ValueError(
+                f"shared parameters {sorted(self.shared)} do not fit the model {sorted(list_shared_shapes(self.config))}"
+            )
+        if isinstance(self.motion, SharedMotion):
+            self.motion = self.motion.bind(self.shared)
         if not len(self.object_ids):
             self.object_ids = torch.zeros(len(self), dtype=torch.uint8, device=self.device)
         if self.object_ids.shape != self.dynamic.shape:
@@ -213,9 +223,21 @@ class Gaussians4D:
             return self
         params = {name: value.to(device) for name, value in self.params.items()}
         seen, shadow_free = (None if values is None else values.to(device) for values in (self.seen, self.shadow_free))
+        shared = {name: value.to(device) for name, value in self.shared.items()}
         return Gaussians4D(
-            params, self.dynamic.to(device), self.config, self.sh_degree, self.object_ids.to(device), seen, shadow_free
+            params, self.dynamic.to(device), self.config, self.sh_degree, self.object_ids.to(device), seen, shadow_free, shared
         )
+
+    @property
+    def values(self) -> dict[str, Tensor]:
+        """All parameters, those of rows and those that are shared."""
+        return {**self.params, **self.shared}
+
+    def anneal(self, progress: float) -> None:
+        """Set, in place, what of the shared parameters follows the share of training that is done, 0 to 1."""
+        if isinstance(self.motion, SharedMotion):
+            for name, value in self.motion.anneal(progress).items():
+                self.shared[name].fill_(value)
 
     @property
     def has_slopes(self) -> bool:
@@ -226,7 +248,7 @@ class Gaussians4D:
         """Return the same Gaussians, each of one color."""
         params = {name: value for name, value in self.params.items() if name != "slopes"}
         config = replace(self.config, slopes=False)
-        return Gaussians4D(params, self.dynamic, config, self.sh_degree, self.object_ids, self.seen, self.shadow_free)
+        return replace(self, params=params, config=config)
 
     @property
     def object_counts(self) -> dict[int, int]:
@@ -243,7 +265,9 @@ class Gaussians4D:
         """Return a model of some of the Gaussians."""
         params = {name: value[rows] for name, value in self.params.items()}
         seen, shadow_free = (None if values is None else values[rows] for values in (self.seen, self.shadow_free))
-        return Gaussians4D(params, self.dynamic[rows], self.config, self.sh_degree, self.object_ids[rows], seen, shadow_free)
+        return Gaussians4D(
+            params, self.dynamic[rows], self.config, self.sh_degree, self.object_ids[rows], seen, shadow_free, self.shared
+        )
 
 
 def parameter_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
@@ -260,8 +284,15 @@ def parameter_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
     }
 
 
+def list_shared_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
+    """Return every parameter that a model's Gaussians share, and its shape."""
+    motion = motion_model(config)
+    shared = motion.shared_parameters if isinstance(motion, SharedMotion) else {}
+    return {name: parameter.shape for name, parameter in shared.items()}
+
+
 def concatenate(parts: Sequence[Gaussians4D]) -> Gaussians4D:
-    """Return one model from several of the same configuration."""
+    """Return one model from several of the same configuration; what Gaussians share is that of the last."""
     params = {name: torch.cat([part.params[name] for part in parts]) for name in parts[0].params}
     dynamic, object_ids = torch.cat([part.dynamic for part in parts]), torch.cat([part.object_ids for part in parts])
-    return Gaussians4D(params, dynamic, parts[0].config, parts[0].sh_degree, object_ids)
+    return Gaussians4D(params, dynamic, parts[0].config, parts[0].sh_degree, object_ids, shared=parts[-1].shared)

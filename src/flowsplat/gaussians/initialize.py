@@ -16,7 +16,7 @@ from flowsplat.common.spread import spread
 from flowsplat.gaussians.first_motion import fit_motion
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D, concatenate, parameter_shapes
 from flowsplat.gaussians.model_config import ModelConfig
-from flowsplat.gaussians.motion import motion_model
+from flowsplat.gaussians.motion import SharedMotion, motion_model
 from flowsplat.gaussians.observations import Observation, Observations
 from flowsplat.gaussians.sampling import detail, grid, spacings
 from flowsplat.gaussians.surfaces import SurfaceSamples, sample_surface
@@ -153,10 +153,14 @@ def _build(
     params["times"] = torch.from_numpy(times.astype(np.float32))
     params["logit_opacities"] = torch.full((count,), float(np.log(opacity / (1 - opacity))))
     params["sh"][:, 0] = harmonics_from_colors(torch.from_numpy(samples.colors.astype(np.float32)))
-    given = (torch.from_numpy(values.astype(np.float32)) for values in (samples.quats, samples.scales, log_lambdas, motion))
-    params.update(motion_model(model).start(*given))
+    moves = motion_model(model)
+    quats, scales, precision, followed = (
+        torch.from_numpy(values.astype(np.float32)) for values in (samples.quats, samples.scales, log_lambdas, motion)
+    )
+    params.update(moves.start(params["means"], params["times"], quats, scales, precision, followed))
+    shared = moves.start_shared(params, followed) if isinstance(moves, SharedMotion) else {}
     numbers = np.zeros(count, np.uint8) if object_ids is None else object_ids.astype(np.uint8)
-    return Gaussians4D(params, torch.full((count,), dynamic), model, object_ids=torch.from_numpy(numbers))
+    return Gaussians4D(params, torch.full((count,), dynamic), model, object_ids=torch.from_numpy(numbers), shared=shared)
 
 
 def _spheres(samples: SurfaceSamples) -> SurfaceSamples:

@@ -37,6 +37,10 @@ class ModelConfig:
     """Order of the Fourier series of the quaternion."""
     fourier_base: Amount = 1.0
     """Lowest frequency of the Fourier series, radians per clip length."""
+    knots: Annotated[int, Meta(ge=4, le=1_000)] = field(default=16, metadata=LEFT_OUT_BY_DEFAULT)
+    """Of motion models that interpolate: knots over the clip (those with a network have none)."""
+    bases: Annotated[int, Meta(ge=1, le=256)] = field(default=10, metadata=LEFT_OUT_BY_DEFAULT)
+    """Of motion model ``bases``: rigid motions that all Gaussians blend."""
     sh_degree: Annotated[int, Meta(ge=0, le=3)] = 3
     """Degree of the spherical harmonics of color, 0 to 3."""
     gains: Annotated[int, Meta(ge=0, le=256)] = 0

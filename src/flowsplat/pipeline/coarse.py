@@ -27,7 +27,6 @@ from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes.clip import Clip, InputOptions, resize_image, resize_labels
 from flowsplat.scenes.ingest import ingest
 from flowsplat.scenes.layers import write_image
-from flowsplat.scenes.scene import split_frames
 from flowsplat.training.checkpoint import has_model, save_model
 from flowsplat.training.config import PRESETS, TrainConfig
 from flowsplat.training.scene_model import scene_model
@@ -77,9 +76,9 @@ class CoarseClip(Clip):
     numbers: list[int]
 
     @staticmethod
-    def of(clip: Clip, holdout: int | None) -> CoarseClip:
+    def of(clip: Clip, options: InputOptions) -> CoarseClip:
         """That of a clip, without the frames that a run holds out."""
-        train, _ = split_frames(clip.num_frames, None if clip.num_views else holdout)
+        train, _ = clip.split(options)
         numbers = choose_frames(clip.timestamps, train)
         scale = min(1.0, LONG_SIDE / max(clip.width, clip.height))
         width, height = (max(32, round(side * scale)) for side in (clip.width, clip.height))
@@ -120,7 +119,7 @@ def coarse_scene(folder: RunFolder, clip: Clip) -> None:
 
 
 def _make_coarse(folder: RunFolder, stage: Stage, clip: Clip, where: RunPaths, settings: TrainConfig) -> None:
-    coarse = CoarseClip.of(clip, folder.config.input.holdout)
+    coarse = CoarseClip.of(clip, folder.config.input)
     device = pick_device(folder.config.device)
     report(f"First a coarse scene of {coarse.num_frames} small frames, to look at meanwhile (--no-coarse-scene leaves it out).")
     try:

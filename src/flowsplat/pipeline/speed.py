@@ -31,7 +31,6 @@ from flowsplat.gaussians.initialize import SPACED_SIDE
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import Clip
-from flowsplat.scenes.scene import split_frames
 from flowsplat.training.final import count_final_steps
 
 Ratio = Annotated[float, Meta(gt=0, le=1e6)]
@@ -91,7 +90,7 @@ def estimate_seconds(scene: Scene, config: RunConfig, compiling: bool = False) -
 
 def estimate_seconds_of_clip(clip: Clip, config: RunConfig) -> dict[str, float]:
     """Return the same of a clip that is no scene yet."""
-    train, heldout = split_frames(clip.num_frames, None if clip.num_views else config.input.holdout)
+    train, heldout = clip.split(config.input)
     return _estimate_seconds(config, clip.width, clip.height, len(train), len(heldout))
 
 

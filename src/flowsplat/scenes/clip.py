@@ -17,10 +17,11 @@ from msgspec import Meta
 
 from flowsplat.common.bounds import bounds_in_help, check_bounds
 from flowsplat.common.errors import InputError
+from flowsplat.common.settings import LEFT_OUT_BY_DEFAULT
 from flowsplat.geometry import Camera
 from flowsplat.scenes.layers import Depth, Flow, Tracks
 from flowsplat.scenes.repeats import FADE_SECONDS, MAX_REPEATS, find_fades, find_repeats, measure_changes
-from flowsplat.scenes.scene import HeldoutView
+from flowsplat.scenes.scene import HeldoutView, split_frames
 
 LONG_SIDE = 854
 """Pixels of the long side to which larger input is brought unless the user says otherwise (DAVIS 480p)."""
@@ -55,6 +56,8 @@ class InputOptions:
     """Long side of the frames in pixels, 0 to keep their size; the default is at most 854. Frames are never enlarged."""
     holdout: Annotated[int | None, Meta(ge=2, le=MAX_NUMBER)] = 10
     """Hold one frame in so many out of training, to measure with; none trains on all. Input with held-out cameras trains on all."""
+    holdout_frames: tuple[int, ...] = field(default=(), metadata=LEFT_OUT_BY_DEFAULT)
+    """Hold out the frames of these numbers, from 0 on, instead; also of input with held-out cameras."""
     sequence: str | None = None
     """Name of the sequence, where the input is the root folder of the DAVIS data set."""
     crop: Literal["auto", "off"] = "auto"
@@ -286,6 +289,19 @@ class Clip(ABC):
     def num_frames(self) -> int:
         """Chosen frames."""
         return len(self.timestamps)
+
+    def holdout(self, options: InputOptions) -> int | None:
+        """Return every how many frames one is held out; None = none. Images by other cameras are a better test than held-out
+        frames, and truth has flow between neighbors only."""
+        return None if self.num_views else options.holdout
+
+    def split(self, options: InputOptions) -> tuple[list[int], list[int]]:
+        """Return (training, held-out) frame numbers.
+
+        Raises:
+            InputError: as ``split_frames``.
+        """
+        return split_frames(self.num_frames, self.holdout(options), options.holdout_frames)
 
     @property
     def num_views(self) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import hash_files, ordinary_file
 from flowsplat.common.progress import progress_bar
 from flowsplat.common.run_paths import RunPaths
+from flowsplat.common.settings import to_plain
 from flowsplat.common.spread import spread
 from flowsplat.images.sound import keep_sound
 from flowsplat.scenes.bars import cut_bars, find_bars
@@ -24,7 +25,7 @@ from flowsplat.scenes.formats.nvidia import RAW_IMAGES, TARGET, is_nvidia, open_
 from flowsplat.scenes.formats.rig import open_rig
 from flowsplat.scenes.formats.video import VIDEO_SUFFIXES, open_video
 from flowsplat.scenes.overlay import COMPARED_FRAMES, fill_overlay, find_overlay
-from flowsplat.scenes.scene import Scene, split_frames
+from flowsplat.scenes.scene import Scene
 
 __all__ = ["InputOptions", "fingerprint", "ingest", "kind_of_input", "open_clip"]
 
@@ -145,9 +146,7 @@ def ingest(clip: Clip, folder: Path, options: InputOptions) -> Scene:
 
 
 def _open_or_create(clip: Clip, folder: Path, options: InputOptions) -> Scene:
-    # Images by other cameras are a better test than held-out frames, and truth has flow between neighbors only.
-    holdout = None if clip.num_views else options.holdout
-    train, heldout = split_frames(clip.num_frames, holdout)
+    train, heldout = clip.split(options)
     if (folder / "scene.json").exists():
         scene = Scene(folder)
         same = (scene.name, scene.width, scene.height, scene.train_frames, scene.heldout_frames)
@@ -161,7 +160,8 @@ def _open_or_create(clip: Clip, folder: Path, options: InputOptions) -> Scene:
         width=clip.width,
         height=clip.height,
         timestamps=clip.timestamps.tolist(),
-        holdout=holdout,
+        holdout=clip.holdout(options),
+        heldout=options.holdout_frames,
         source_fps=clip.source_fps,
         notes=clip.notes,
     )
@@ -236,7 +236,7 @@ def fingerprint(path: Path, options: InputOptions) -> str:
     Raises:
         InputError: the input does not exist or is of no known kind.
     """
-    return hash_files(json.dumps(asdict(options), sort_keys=True), _list_input_files(Path(path), options))
+    return hash_files(json.dumps(to_plain(options), sort_keys=True), _list_input_files(Path(path), options))
 
 
 def _list_input_files(path: Path, options: InputOptions) -> list[tuple[str, Path]]:

@@ -41,13 +41,18 @@ from flowsplat.scenes.overlay import hide_overlay, look_up_mask
 VERSION = 1
 
 
-def split_frames(count: int, holdout: int | None) -> tuple[list[int], list[int]]:
+def split_frames(count: int, holdout: int | None, chosen: Sequence[int] = ()) -> tuple[list[int], list[int]]:
     """Return (training, held-out) frame numbers: every ``holdout``-th frame is held out (9, 19, ... for 10), never the last.
 
+    Args:
+        chosen: numbers of frames that are held out instead; none = those.
+
     Raises:
-        InputError: too few frames remain for training.
+        InputError: too few frames remain for training, or there is no frame of such a number.
     """
-    heldout = [i for i in range(count - 1) if holdout and i % holdout == holdout - 1]
+    if chosen and not 0 <= min(chosen) <= max(chosen) < count:
+        raise InputError(f"Held-out frames are numbers from 0 to {count - 1}, not {min(chosen)} to {max(chosen)}.")
+    heldout = sorted(set(chosen)) or [i for i in range(count - 1) if holdout and i % holdout == holdout - 1]
     kept_back = set(heldout)
     train = [i for i in range(count) if i not in kept_back]
     if len(train) < 2:
@@ -155,6 +160,7 @@ class Scene(Layers):
         timestamps: Sequence[float],
         holdout: int | None,
         source_fps: float,
+        heldout: Sequence[int] = (),
         notes: Sequence[str] = (),
         audio: str | None = None,
         audio_start: float = 0.0,
@@ -165,10 +171,11 @@ class Scene(Layers):
             timestamps: seconds, rising, one a frame.
             holdout: every how many frames one is held out; None = none.
             source_fps: frames a second of the source, which the final videos keep.
+            heldout: numbers of frames that are held out instead; none = those that ``holdout`` says.
             notes: what was done to the input, in sentences for the user.
             audio: the name of the file in the folder with the sound, and at which second of it the clip starts.
         """
-        train, heldout = split_frames(len(timestamps), holdout)
+        train, heldout = split_frames(len(timestamps), holdout, heldout)
         make_folder(Path(folder))
         info = SceneInfo(
             version=VERSION, name=name, source=source, width=width, height=height,

@@ -29,6 +29,8 @@ from flowsplat.geometry.cameras import MAX_COORDINATE
 MODEL_VERSION = 5
 _FOUND = ("seen", "shadow_free")
 """What is found when training ends, where it was."""
+_SHARED_PREFIX = "shared."
+"""Before the names of parameters that Gaussians share, which are no rows."""
 _MAX_LOG = 80.0
 """Logarithm of what still is a float32."""
 
@@ -48,7 +50,7 @@ def read_tensors(path: Path, rows: int | None = None) -> tuple[dict[str, Tensor]
     """Return the inverse of ``write_tensors``.
 
     Args:
-        rows: how many every tensor must have; looked at before any of them is read.
+        rows: how many every tensor must have that is not shared; looked at before any of them is read.
 
     Raises:
         InputError: missing, no ordinary file, truncated, damaged, or of another number of rows.
@@ -57,7 +59,7 @@ def read_tensors(path: Path, rows: int | None = None) -> tuple[dict[str, Tensor]
     try:
         with safe_open(path, framework="pt") as file:
             names = list(file.keys())
-            for name in names if rows is not None else ():
+            for name in (name for name in names if rows is not None and not name.startswith(_SHARED_PREFIX)):
                 shape = file.get_slice(name).get_shape()
                 if not shape or shape[0] != rows:
                     raise InputError(f"{path} is damaged: {name} has shape {shape}, and there are {rows:,} Gaussians.")
@@ -111,7 +113,9 @@ def save_model(folder: Path, model: SceneModel) -> None:
     """Write a trained model: ``gaussians.safetensors`` and a ``model.json`` that a person can read."""
     g = model.gaussians
     known = {name: value for name in _FOUND if (value := getattr(g, name)) is not None}
-    write_tensors(folder / "gaussians.safetensors", {**g.params, "dynamic": g.dynamic, "object_ids": g.object_ids, **known}, {})
+    shared = {f"{_SHARED_PREFIX}{name}": value for name, value in g.shared.items()}
+    tensors = {**g.params, **shared, "dynamic": g.dynamic, "object_ids": g.object_ids, **known}
+    write_tensors(folder / "gaussians.safetensors", tensors, {})
     value = {
         "version": MODEL_VERSION,
         "gaussians": len(g),
@@ -150,9 +154,13 @@ def load_model(folder: Path) -> SceneModel:
     try:
         tensors, _ = read_tensors(folder / "gaussians.safetensors", value["gaussians"])
         dynamic, object_ids = tensors["dynamic"].to(torch.bool), tensors["object_ids"].to(torch.uint8)
-        params = {name: tensor for name, tensor in tensors.items() if name not in ("dynamic", "object_ids", *_FOUND)}
+        shared = _take_shared(tensors)
+        others = {"dynamic", "object_ids", *_FOUND, *(f"{_SHARED_PREFIX}{name}" for name in shared)}
+        params = {name: tensor for name, tensor in tensors.items() if name not in others}
         found = {name: tensors.get(name) for name in _FOUND}
-        gaussians = Gaussians4D(params, dynamic, ModelConfig(**value["model"]), value["sh_degree"], object_ids, **found)
+        gaussians = Gaussians4D(
+            params, dynamic, ModelConfig(**value["model"]), value["sh_degree"], object_ids, **found, shared=shared
+        )
         check_model(folder, gaussians)
         if not value["last"] > value["first"]:
             raise ValueError("its last frame is not after its first")
@@ -165,6 +173,10 @@ def load_model(folder: Path) -> SceneModel:
         )  # fmt: skip
     except (KeyError, TypeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{folder} does not hold a trained model: {error}.") from error
+
+
+def _take_shared(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {name.removeprefix(_SHARED_PREFIX): value for name, value in tensors.items() if name.startswith(_SHARED_PREFIX)}
 
 
 def check_model(path: Path, gaussians: Gaussians4D) -> None:
@@ -186,9 +198,11 @@ def check_model(path: Path, gaussians: Gaussians4D) -> None:
         values = gaussians.params[name]
         if values.shape != (count, *shape) or values.dtype != torch.float32:
             raise InputError(f"{path} is damaged: {name} is {values.dtype} {tuple(values.shape)}, expected {(count, *shape)}.")
-        most = _MAX_LOG if name.startswith("log_") else MAX_COORDINATE
-        if not bool((values <= most).all() and (values >= -MAX_COORDINATE).all()):  # not for NaN
-            raise InputError(f"{path} is damaged: {name} holds values that are not finite, or beyond {most:g}.")
+        _check_finite(path, name, values, _MAX_LOG if name.startswith("log_") else MAX_COORDINATE)
+    for name, values in gaussians.shared.items():  # their shapes are those of the model, or they were not Gaussians
+        if values.dtype != torch.float32:
+            raise InputError(f"{path} is damaged: {name} is {values.dtype}, expected torch.float32.")
+        _check_finite(path, name, values, MAX_COORDINATE)
     if gaussians.dynamic.shape != (count,) or gaussians.object_ids.shape != (count,):
         raise InputError(f"{path} is damaged: it does not tell for each Gaussian whether it moves, and of which object it is.")
     seen = gaussians.seen
@@ -199,30 +213,37 @@ def check_model(path: Path, gaussians: Gaussians4D) -> None:
         raise InputError(f"{path} is damaged: how bright a Gaussian is without shadows is no number, or beyond {_MAX_LOG:g}.")
 
 
+def _check_finite(path: Path, name: str, values: Tensor, most: float) -> None:
+    if not bool((values <= most).all() and (values >= -MAX_COORDINATE).all()):  # not for NaN
+        raise InputError(f"{path} is damaged: {name} holds values that are not finite, or beyond {most:g}.")
+
+
 def check_training_state(
     path: Path, tensors: Mapping[str, Tensor], gaussians: Gaussians4D, statistics: Mapping[str, Tensor]
 ) -> None:
     """Refuse what a trainer keeps of its Gaussians and could not go on with: its kernels look at no index and no size.
 
     Args:
-        tensors: of the checkpoint: ``adam.*``, ``average.*``, ``statistics.*`` and ``neighbors.*``.
+        tensors: of the checkpoint: ``adam.*``, ``shared_adam.*``, ``average.*``, ``statistics.*`` and ``neighbors.*``.
         gaussians: that it holds.
         statistics: by name, such as the strategy keeps them.
 
     Raises:
         InputError: names the tensor.
     """
-    count, params = len(gaussians), gaussians.params
+    count, parameters = len(gaussians), gaussians.values
     if missing := [name for name in statistics if f"statistics.{name}" not in tensors]:
         raise InputError(f"{path} is damaged: it lacks statistics.{missing[0]}.")
     for name, value in tensors.items():
         kind, _, what = name.partition(".")
         shape, dtype = tuple(value.shape), torch.float32
+        if kind == "shared":
+            continue
         if kind == "average" or what.startswith(("mean.", "square.")):
-            of = params.get(what.rpartition(".")[2])
-            shape = (-1,) if of is None else tuple(of.shape)
-        elif kind == "adam":
-            shape, dtype = (count,), torch.int32
+            of = parameters.get(what.rpartition(".")[2])
+            shape = (-1,) if of is None else (*of.shape,) if kind != "shared_adam" else (1, *of.shape)
+        elif kind in ("adam", "shared_adam"):
+            shape, dtype = (count if kind == "adam" else 1,), torch.int32
         elif kind == "statistics":
             shape, dtype = (tuple(statistics[what].shape), statistics[what].dtype) if what in statistics else ((-1,), dtype)
         elif kind == "neighbors":
@@ -269,7 +290,9 @@ def load_checkpoint(folder: Path, similarity: Similarity, first: float, last: fl
         config = values["config"]
         params = {name.removeprefix("param."): value for name, value in tensors.items() if name.startswith("param.")}
         dynamic, object_ids = tensors["dynamic"].bool(), tensors["object_ids"].to(torch.uint8)
-        gaussians = Gaussians4D(params, dynamic, ModelConfig(**config["model"]), int(values["sh_degree"]), object_ids)
+        gaussians = Gaussians4D(
+            params, dynamic, ModelConfig(**config["model"]), int(values["sh_degree"]), object_ids, shared=_take_shared(tensors)
+        )
         check_model(path, gaussians)
         model = SceneModel(gaussians, similarity, first, last, config["flow_model"], bool(config["fill"]), focal)
         return model, int(values["step"]), int(config["iterations"])

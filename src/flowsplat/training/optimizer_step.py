@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -26,11 +26,13 @@ class RowGradients:
         active: the rows that have gradients.
         drawn: [A] bool, which of them are stepped.
         values: by parameter, of the rows that ``Gaussians4D.rows_of`` names.
+        shared: of the parameters that Gaussians share, as far as they have one.
     """
 
     active: Active
     drawn: Tensor
     values: Gradients
+    shared: Gradients = field(default_factory=dict)
 
 
 class MeanGradient:
@@ -43,6 +45,7 @@ class MeanGradient:
         count = len(gaussians)
         self._totals = {name: value.new_zeros(count + 1, *value.shape[1:]) for name, value in gaussians.params.items()}
         self._touched = torch.zeros(count + 1, dtype=torch.bool, device=gaussians.device)
+        self._shared: Gradients = {}
 
     def add(self, found: RowGradients) -> None:
         """Add those of a frame; who was not drawn has none."""
@@ -51,12 +54,14 @@ class MeanGradient:
             share = found.drawn[gaussians.part(name, active)].to(gradient.dtype) / self._frames
             self._totals[name][gaussians.rows_of(name, active)] += gradient * share.view(-1, *(1,) * (gradient.ndim - 1))
         self._touched[active.rows] |= found.drawn
+        for name, gradient in found.shared.items():
+            self._shared[name] = self._shared.get(name, 0) + gradient / self._frames
 
     def result(self) -> RowGradients:
         """Return their mean, of all rows."""
         active = self._everyone
         values = {name: total[self._gaussians.rows_of(name, active)] for name, total in self._totals.items()}
-        return RowGradients(active, self._touched[active.rows], values)
+        return RowGradients(active, self._touched[active.rows], values, self._shared)
 
 
 class OptimizerStep:
@@ -84,6 +89,18 @@ class OptimizerStep:
                 else:
                     RowAdam.step(*given)
                 optimizer.step(name, value, rows[at_rest:], stepped[at_rest:], gradient[at_rest:], rates_moving[name])
+        if state.shared_optimizer is not None and found.shared:
+            self._step_shared(state, state.shared_optimizer, found.shared)
+
+    def _step_shared(self, state: TrainState, optimizer: RowAdam, gradients: Gradients) -> None:
+        """Step what all Gaussians share, each parameter as one row."""
+        rates = self._rates.of_shared(state.step, state.gaussians)
+        row = torch.zeros(1, dtype=torch.int64, device=state.gaussians.device)
+        stepped = torch.ones_like(row, dtype=torch.bool)
+        optimizer.begin_step(row, stepped)
+        for name, gradient in gradients.items():
+            if name in rates:
+                optimizer.step(name, state.gaussians.shared[name][None], row, stepped, gradient[None], rates[name])
 
 
 def all_rows(gaussians: Gaussians4D) -> Active:

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from flowsplat.common.devices import upload
 from flowsplat.gaussians.gaussians4d import Gaussians4D
+from flowsplat.gaussians.motion import SharedMotion
 from flowsplat.gaussians.motion.protocol import RateGroup
 from flowsplat.training.config import RatesConfig
 
@@ -50,6 +51,17 @@ class LearningRates:
         # One copy to the device for all of them.
         together = upload(np.concatenate(list(result.values())) * np.float32(r.moving if moving else 1), self.device)
         return dict(zip(result, together.split([len(rate) for rate in result.values()]), strict=True))
+
+    def of_shared(self, step: int, gaussians: Gaussians4D) -> dict[str, Tensor]:
+        """Return the rates of what Gaussians share and learn: one for every number of a parameter, by its name."""
+        if not isinstance(gaussians.motion, SharedMotion):
+            return {}
+        fallen = self.config.motion_decay ** (step / max(self._iterations, 1))
+        learned = {name: parameter for name, parameter in gaussians.motion.shared_parameters.items() if parameter.rate > 0}
+        return {
+            name: torch.full((math.prod(parameter.shape),), parameter.rate * fallen, device=self.device)
+            for name, parameter in learned.items()
+        }
 
 
 @functools.cache

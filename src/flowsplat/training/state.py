@@ -34,6 +34,7 @@ class TrainState:
         generator: of random numbers, on the host; strategies draw from it.
         step: steps done.
         optimizer: moments and step counts of every Gaussian.
+        shared_optimizer: those of what Gaussians share, each a single row; None = they share nothing.
         average: the mean of the parameters over the last steps.
         statistics: by name, [N, ...] what the strategy keeps for every Gaussian.
         neighbors: of the rigid loss, None = to be found.
@@ -49,6 +50,7 @@ class TrainState:
     generator: torch.Generator
     step: int = 0
     optimizer: RowAdam = field(init=False)
+    shared_optimizer: RowAdam | None = field(init=False, default=None)
     average: TailAverage = field(default_factory=TailAverage)
     statistics: dict[str, Tensor] = field(default_factory=dict)
     neighbors: Neighbors | None = None
@@ -60,6 +62,8 @@ class TrainState:
 
     def __post_init__(self) -> None:
         self.optimizer = RowAdam(self.gaussians.params)
+        if self.gaussians.shared:
+            self.shared_optimizer = RowAdam({name: value[None] for name, value in self.gaussians.shared.items()})
 
     @property
     def seconds(self) -> float:
@@ -82,7 +86,7 @@ class TrainState:
         self.optimizer.reindex(result.index, result.is_new)
         if self.neighbors is not None:
             self.neighbors = self.neighbors.reindex(result.index)
-        self.average.reindex(result.index, result.is_new)
+        self.average.reindex(result.index, result.is_new, self.gaussians.shared)
         self.statistics = {name: value[result.index] for name, value in self.statistics.items()}
         for value in self.statistics.values():
             value[result.is_new] = 0
@@ -104,7 +108,10 @@ class TrainState:
         """Return every tensor by name."""
         gaussians = self.gaussians
         tensors = {f"param.{name}": value for name, value in gaussians.params.items()}
+        tensors |= {f"shared.{name}": value for name, value in gaussians.shared.items()}
         tensors |= {f"adam.{name}": value for name, value in self.optimizer.state().items()}
+        if self.shared_optimizer is not None:
+            tensors |= {f"shared_adam.{name}": value for name, value in self.shared_optimizer.state().items()}
         tensors |= {f"statistics.{name}": value for name, value in self.statistics.items()}
         tensors |= {f"average.{name}": value for name, value in self.average.state().items()}
         tensors |= {"dynamic": gaussians.dynamic, "object_ids": gaussians.object_ids, "generator": self.generator.get_state()}
@@ -146,12 +153,14 @@ class TrainState:
             return {name: value.to(device) for name, value in chosen.items()}
 
         dynamic, object_ids = tensors["dynamic"].to(device), tensors["object_ids"].to(torch.uint8).to(device)
-        gaussians = Gaussians4D(group("param"), dynamic, model, int(values["sh_degree"]), object_ids)
+        gaussians = Gaussians4D(group("param"), dynamic, model, int(values["sh_degree"]), object_ids, shared=group("shared"))
         generator = torch.Generator()
         generator.set_state(tensors["generator"])
         order.restore(values)
         state = TrainState(gaussians, order, generator, int(values["step"]))
         state.optimizer.load_state(group("adam"))
+        if state.shared_optimizer is not None:
+            state.shared_optimizer.load_state(group("shared_adam"))
         state.average.load_state(int(values["averaged"]), group("average"))
         state.statistics = group("statistics")
         state.neighbors = Neighbors(**group("neighbors")) if "neighbors.indices" in tensors else None

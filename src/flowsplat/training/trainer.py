@@ -143,13 +143,14 @@ class Trainer:
                 known = figures if isinstance(figures["psnr"], float) else self.history[-1] if self.history else None
                 psnr = "" if known is None else f"PSNR {known['psnr']:.2f}  "
                 bar.advance(1, f"{psnr}{len(state.gaussians):,} Gaussians")
-        state.average.write(state.gaussians.params)
+        state.average.write(state.gaussians.values)
         return state.gaussians
 
     def iterate(self) -> tuple[StepOutput, Figures]:
         """Take one optimizer step over the next frames; return the last of them as it was rendered, and the figures of all."""
         state, config = self.state, self.config
         state.gaussians.sh_degree = min(state.gaussians.config.sh_degree, 4 * state.step // max(config.iterations, 1))
+        state.gaussians.anneal(state.step / max(config.iterations, 1))
         frames = state.order.take(config.frames_per_iteration or len(self.observations))
         for k in (*frames[1:2], *state.order.following):
             self._targets.prefetch(k)
@@ -166,7 +167,7 @@ class Trainer:
         state.step += 1
         averaging, left = config.is_averaged(state.step), config.iterations - state.step
         if averaging and left % AVERAGE_STRIDE == 0:
-            state.average.add(state.gaussians.params)
+            state.average.add(state.gaussians.values)
         output.ends_step = True
         self._count(output)
         return output, mean_figures(all_figures)
@@ -185,7 +186,8 @@ class Trainer:
                 break
             self._capacity.grow(active.counts())
         output.figures["active"] = float(sum(active.counts()))
-        return output, RowGradients(active, output.visible, gradients)
+        shared = {name: gradients.pop(name) for name in gaussians.shared if name in gradients}
+        return output, RowGradients(active, output.visible, gradients, shared)
 
     def backpropagate(self, k: int, active: Active) -> tuple[StepOutput, Gradients]:
         """Render some of the Gaussians in training frame k and differentiate the sum of all terms of the loss."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import torch
 from torch import Tensor
@@ -38,11 +38,14 @@ class TailAverage:
         """Forget everything: some parameters were changed by other means than a step."""
         self.count, self._sums = 0, {}
 
-    def reindex(self, index: Tensor, is_new: Tensor) -> None:
-        """After density control: row k comes from old row ``index[k]``; new rows have no past, so all begins anew."""
+    def reindex(self, index: Tensor, is_new: Tensor, shared: Collection[str] = ()) -> None:
+        """After density control: row k comes from old row ``index[k]``; new rows have no past, so all begins anew.
+
+        ``shared``: parameters that have no rows.
+        """
         if bool(is_new.any()):
             self.restart()
-        self._sums = {name: total[index] for name, total in self._sums.items()}
+        self._sums = {name: total if name in shared else total[index] for name, total in self._sums.items()}
 
     @torch.no_grad()
     def write(self, params: Mapping[str, Tensor]) -> None:

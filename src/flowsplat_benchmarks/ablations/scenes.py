@@ -30,8 +30,9 @@ class AblationScene:
 
     @property
     def name(self) -> str:
-        """Of the scene and its size, for files."""
-        return self.case.scene if self.size is None else f"{self.case.scene}_{self.size}"
+        """Of the scene, its size and what is held out where that is chosen, for files."""
+        sized = self.case.scene if self.size is None else f"{self.case.scene}_{self.size}"
+        return f"{sized}_gaps" if self.case.config.input.holdout_frames else sized
 
     def prepare(self, out: Path) -> Path:
         """Return the prepared scene in ``out``; what is missing of it is computed.

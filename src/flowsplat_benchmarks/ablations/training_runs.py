@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,7 +18,7 @@ from flowsplat.common.memory import peak_memory
 from flowsplat.common.source import source_state
 from flowsplat.common.spread import spread
 from flowsplat.evaluation.evaluate import evaluate
-from flowsplat.evaluation.scores import pick
+from flowsplat.evaluation.scores import Figures, pick
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.output.export import export_scene
@@ -45,16 +45,19 @@ class TrainingRun:
     """A variant on a scene with a seed.
 
     Attributes:
-        protocol: ablations or caps.
+        protocol: ablations, caps or models.
         scene: prepared or to be prepared.
         variant: how it is trained.
         config: all settings of the training, the seed among them.
+        measure_more: gives further figures of the trained scene, from it, its scene and what ``evaluate`` found; a function of a
+            module, as it is sent to another process.
     """
 
     protocol: str
     scene: AblationScene
     variant: Variant
     config: TrainConfig
+    measure_more: Callable[[SceneModel, Scene, Figures], dict[str, Any]] | None = None
 
     def job(self, out: Path) -> Measurement:
         """Prepare the scene in ``out`` where it is not yet, train and measure."""
@@ -64,7 +67,7 @@ class TrainingRun:
     @property
     def tells_costs(self) -> bool:
         """Whether it also measures the page and the time of an image, which no table of ablations shows."""
-        return self.protocol == "caps"
+        return self.protocol in ("caps", "models")
 
     @property
     def key(self) -> str:
@@ -94,8 +97,8 @@ def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
         (``source_state``), ``test`` (``kind``, ``count``), ``psnr``, ``ssim``, ``lpips`` and ``moving`` (PSNR) of the held-out
         images with strict cameras, ``training_psnr``, ``flow_epe`` and ``flow_prior_epe`` (mean, pixels), ``gaussians``
         (``total``, ``active_mean``), ``page_bytes`` (of ``export --to html``) and ``image_seconds`` (by the clock, the median of
-        the clip's own views), both of caps only, ``seconds`` (``train`` by the clock, ``train_cpu`` of all cores,
-        ``evaluate``) and ``peak_memory_gib``.
+        the clip's own views), both of caps and models only, ``seconds`` (``train`` by the clock, ``train_cpu`` of all cores,
+        ``evaluate``), ``peak_memory_gib`` and what ``measure_more`` gives.
     """
     scene = Scene(path)
     started, processor = time.perf_counter(), time.process_time()
@@ -121,6 +124,7 @@ def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
             "train": round(trained - started, 2), "train_cpu": round(used, 2), "evaluate": round(evaluated - trained, 2),
         },
         "peak_memory_gib": memory,
+        **(run.measure_more(model, scene, metrics) if run.measure_more and isinstance(model, SceneModel) else {}),
     }  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """Whole runs over many scenes under a fixed protocol (docs/method.md, "Evaluation protocols"): DAVIS, rendered rig scenes, NVIDIA
-Dynamic Scenes."""
+Dynamic Scenes, DyCheck."""
 
 from flowsplat_benchmarks.datasets.benchmark import run_benchmark
-from flowsplat_benchmarks.datasets.cases import davis_cases, nvidia_cases, rig_cases
+from flowsplat_benchmarks.datasets.cases import davis_cases, dycheck_cases, nvidia_cases, rig_cases
 
-__all__ = ["davis_cases", "nvidia_cases", "rig_cases", "run_benchmark"]
+__all__ = ["davis_cases", "dycheck_cases", "nvidia_cases", "rig_cases", "run_benchmark"]

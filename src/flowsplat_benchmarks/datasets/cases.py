@@ -5,6 +5,7 @@
 | davis | ``davis/<clip>/images`` (and ``masks``), or DAVIS itself (``JPEGImages/480p``) | every tenth frame, never the last |
 | rig | ``rig/<scene>`` | the held-out cameras; all frames train |
 | nvidia | ``nvidia/<scene>`` in one of three forms (``scenes/formats/nvidia.py``, ``nerfies.py``) | the other cameras |
+| dycheck | ``dycheck/<scene>`` with ``camera/`` and ``splits/`` (``nerfies.py``) | the other cameras, where the clip saw the same |
 
 Without a folder of that name the root itself is searched. What the protocol fixes is the input (all frames, their size, the
 split) and the baselines; how it is trained is free.
@@ -38,9 +39,9 @@ NSFF_TIMES, NSFF_HEIGHT = 24, 288
 TWELVE_WIDTH = 480
 """Pixels of width of the protocol with twelve images."""
 MARBLES_SCALE = 2
-"""Dynamic Gaussian Marbles measures on images of half the size."""
+"""Dynamic Gaussian Marbles measures on images of half the size, and so does DyCheck."""
 
-ProtocolName = Literal["davis", "rig", "nvidia"]
+ProtocolName = Literal["davis", "rig", "nvidia", "dycheck"]
 FORMS = {
     "nerfies": "Marbles' form, half size",
     "twelve": "twelve images, 480x270",
@@ -217,6 +218,26 @@ def nvidia_cases(
             own = replace(config, input=_nvidia_input(path, form))
             cases.append(Case("nvidia", path.name, form, "given cameras", settings, path, own))
     return _choose_cases(root, cases, names, "nvidia/* with poses_bounds.npy, or with camera/ and splits/")
+
+
+# -- DyCheck
+
+
+def dycheck_cases(
+    root: Path, names: Sequence[str] = (), preset_name: str = "default", config: RunConfig | None = None
+) -> list[Case]:
+    """Return the scenes of DyCheck: all frames of the clip train, at half of their size.
+
+    Raises:
+        InputError: no such folder, no scenes in it, or none of that name.
+    """
+    config, settings = protocol_config(preset_name, config, ALL_FRAMES.holdout)
+    cases = [
+        Case("dycheck", path.name, "", "given cameras", settings, path, replace(config, input=_nvidia_input(path, "nerfies")))
+        for path in _places(root, "dycheck")
+        if is_nerfies(path)
+    ]
+    return _choose_cases(root, cases, names, "dycheck/* with camera/ and splits/")
 
 
 def _form(path: Path) -> str:

@@ -19,6 +19,7 @@ from flowsplat.scenes.formats.rig import RigTruth
 from flowsplat.scenes.ingest import open_clip
 from flowsplat.scenes.layers import read_image, write_image
 from flowsplat_benchmarks.datasets.cases import Case
+from flowsplat_benchmarks.datasets.dycheck import measure_dycheck
 
 MOTION = ("flow_epe", "prior_flow_epe", "flow_prior_epe", "depth_abs_rel")
 """Errors of flow and depth (``evaluation.evaluate``)."""
@@ -33,8 +34,9 @@ def measure_case(case: Case, folder: Path, strip: Path) -> dict[str, Any]:
         ``name``, ``protocol``, ``scene``, ``form``, ``variant``, ``settings``, ``tuned``, ``flowsplat`` (``source_state``),
         ``frames``, ``size``, ``test`` (``kind``, ``count``), ``ours`` and each of ``baselines``: ``psnr``, ``ssim``, ``lpips``,
         ``moving``, ``covisible``; ``refined`` (ours with the poses of held-out frames refined; None for held-out cameras);
-        ``training_frames`` and ``MOTION`` (see ``evaluation.evaluate``), ``tracks`` (see ``evaluation.tracks``), ``gaussians``,
-        ``images_a_second``, ``seconds`` by stage, ``peak_memory_gib``, ``lpips_reason``, ``verdicts``.
+        ``training_frames`` and ``MOTION`` (see ``evaluation.evaluate``), ``tracks`` (see ``evaluation.tracks``), ``dycheck`` (of
+        that protocol, see ``dycheck.measure_dycheck``), ``gaussians``, ``images_a_second``, ``seconds`` by stage,
+        ``peak_memory_gib``, ``lpips_reason``, ``verdicts``.
 
     Raises:
         InputError: the input cannot be used.
@@ -56,6 +58,7 @@ def measure_case(case: Case, folder: Path, strip: Path) -> dict[str, Any]:
         "baselines": metrics["baselines_views" if scene.views else "baselines"] or {},
         **{key: metrics.get(key) for key in ("training_frames", *MOTION, "lpips_reason")},
         "tracks": track_errors(model, scene, _births(case)),
+        **({"dycheck": measure_dycheck(model, scene, case.source)} if case.protocol == "dycheck" else {}),
         "gaussians": {key: metrics["gaussians"][key] for key in ("total", "active_mean")},
         "images_a_second": _images_a_second(model, scene),
         "seconds": run.seconds, "peak_memory_gib": metrics["peak_memory_gib"],

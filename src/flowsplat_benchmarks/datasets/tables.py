@@ -33,6 +33,8 @@ def _beside_published(protocol: str, results: Sequence[Result]) -> Iterator[Tabl
     if protocol == "davis":
         for metric in ("psnr", "ssim", "lpips"):
             yield _matrix(f"{NAMES[metric]}, held-out frames", known["davis"], results, metric)
+    if protocol == "dycheck" and results:
+        yield _tabulate_dycheck(results)
     if protocol == "nvidia":
         marbles = [result for result in results if result["form"] == "nerfies"]
         if marbles:
@@ -40,6 +42,20 @@ def _beside_published(protocol: str, results: Sequence[Result]) -> Iterator[Tabl
         twelve = [result for result in results if result["form"] == "twelve"]
         for metric in ("psnr", "lpips") if twelve else ():
             yield _matrix(f"{NAMES[metric]}, {FORMS['twelve']}", known["nvidia_twelve"], twelve, metric)
+
+
+_DYCHECK = (
+    Column("mPSNR", ("dycheck", "mpsnr"), 2), Column("mSSIM", ("dycheck", "mssim"), 3), Column("PCK, %", ("dycheck", "pck"), 1),
+    Column("images", ("dycheck", "views"), 0), Column("points carried", ("dycheck", "transfers"), 0),
+)  # fmt: skip
+
+
+def _tabulate_dycheck(results: Sequence[Result]) -> Table:
+    rows = [(label(result), _how(result), *(column.cell(result) for column in _DYCHECK)) for result in results]
+    if len(results) > 1:
+        rows.append(("mean", "", *(column.cell(*results) for column in _DYCHECK)))
+    note = "Inside the masks of what the clip saw; a dash where the scene has no such masks, or no marked points."
+    return Table("DyCheck's measures", note, ("scene", "run", *(column.header for column in _DYCHECK)), rows)
 
 
 def _method(name: str) -> str:

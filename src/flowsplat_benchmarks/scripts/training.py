@@ -105,10 +105,11 @@ class StageClock:
         if state.step % self._every and not last:
             return
         self._seconds += time.process_time() - self._since
-        averaged = {name: value.clone() for name, value in state.gaussians.params.items()}
-        state.average.write(averaged)
         g = state.gaussians
-        shown = Gaussians4D(averaged, g.dynamic, g.config, g.sh_degree, g.object_ids)
+        averaged = {name: value.clone() for name, value in g.values.items()}
+        state.average.write(averaged)
+        params, shared = ({name: averaged[name] for name in names} for names in (g.params, g.shared))
+        shown = Gaussians4D(params, g.dynamic, g.config, g.sh_degree, g.object_ids, shared=shared)
         found = {"step": state.step, "seconds": self._seconds, **self._images.psnr(shown, trainer.config)}
         self.entries.append(found)
         tell("  ".join(f"{name} {value:.2f}" for name, value in found.items()))

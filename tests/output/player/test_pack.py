@@ -21,6 +21,7 @@ from tests.output.player.unpacking import chebyshev, show, unpack
 from tests.output.small import (
     HEIGHT,
     LINEAR,
+    OTHERS,
     OURS,
     PAPER,
     WIDTH,
@@ -131,9 +132,12 @@ def test_what_crosses_the_scene_is_where_it_belongs(width):
 
 @pytest.mark.parametrize(
     ("config", "counts"),
-    [(OURS, {}), (PAPER, {}), (LINEAR, {}), (OURS, {"moving": 0}), (OURS, {"resting": 0}), (OURS, {"moving": 1})],
-    ids=["ours", "paper", "linear", "nothing moves", "all move", "one moves"],
-)
+    [
+        (OURS, {}), (PAPER, {}), (LINEAR, {}), (OURS, {"moving": 0}), (OURS, {"resting": 0}), (OURS, {"moving": 1}),
+        *((config, {}) for config in OTHERS.values()),
+    ],
+    ids=["ours", "paper", "linear", "nothing moves", "all move", "one moves", *OTHERS],
+)  # fmt: skip
 def test_what_is_read_back_looks_the_same(config, counts):
     model = small_model(config, **counts)
     pack_ = packed(model)

@@ -21,6 +21,7 @@ from tests.output.small import (
     HEIGHT,
     LAST,
     LINEAR,
+    OTHERS,
     OURS,
     PAPER,
     WIDTH,
@@ -73,8 +74,12 @@ def test_it_loads_without_network_and_without_complaints(open_page, player_file)
     [
         (OURS, {}), (OURS, {"fill": True}), (OURS, {"fill": True, "is_thin": True}), (PAPER, {}), (LINEAR, {}),
         (OURS, {"moving": 0}), (OURS, {"moving": 1}), (OURS, {"resting": 0}), (OURS, {"focal": 20.0}),
+        *((config, {}) for config in OTHERS.values()),
     ],
-    ids=["ours", "filled", "half filled", "paper", "linear", "nothing moves", "one moves", "all move", "trained on coarse pixels"],
+    ids=[
+        "ours", "filled", "half filled", "paper", "linear", "nothing moves", "one moves", "all move", "trained on coarse pixels",
+        *OTHERS,
+    ],
 )  # fmt: skip
 def test_images_are_those_of_our_own_renderer(open_page, tmp_path, config, options):
     model = small_model(config, **options)

@@ -82,7 +82,7 @@ class LinearMotion:
         """See ``MotionModel``."""
         return -torch.log(_variance_in_time(params["log_scales4"], params["quats_left"], params["quats_right"]))
 
-    def state(self, params: Params, t: float) -> MotionState:
+    def state(self, params: Params, t: float | Tensor) -> MotionState:
         """See ``MotionModel``."""
         _, V, W = covariances_4d(params["log_scales4"], params["quats_left"], params["quats_right"])
         tau = t - params["times"]
@@ -102,7 +102,9 @@ class LinearMotion:
         """None: see ``MotionModel``."""
         return None
 
-    def start(self, quats: Tensor, scales: Tensor, log_lambdas: Tensor, coefficients: Tensor) -> dict[str, Tensor]:
+    def start(
+        self, means: Tensor, times: Tensor, quats: Tensor, scales: Tensor, log_lambdas: Tensor, coefficients: Tensor
+    ) -> dict[str, Tensor]:  # fmt: skip
         """See ``MotionModel``; of the coefficients the first one, the velocity, is used."""
         velocities = coefficients[:, 0] if coefficients.shape[1] else torch.zeros(len(quats), 3)
         return self.from_moments(covariances(quats, scales), velocities, log_lambdas)

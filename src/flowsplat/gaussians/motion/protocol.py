@@ -90,8 +90,8 @@ class MotionModel(Protocol):
         """Return [N] log of lambda, the temporal precision, from ``times`` and the parameters that fade."""
         ...
 
-    def state(self, params: Params, t: float) -> MotionState:
-        """Return the Gaussians at clip time ``t``."""
+    def state(self, params: Params, t: float | Tensor) -> MotionState:
+        """Return the Gaussians at clip time ``t``, or each [N] at its own."""
         ...
 
     def at_rest(self, params: Params) -> Shape:
@@ -103,10 +103,14 @@ class MotionModel(Protocol):
         """Return [N, 3] log of the scales where these are parameters that no time changes, for the cull; None = there are none."""
         ...
 
-    def start(self, quats: Tensor, scales: Tensor, log_lambdas: Tensor, coefficients: Tensor) -> dict[str, Tensor]:
-        """Parameters for the first Gaussians, as far as they do not begin at 0.
+    def start(
+        self, means: Tensor, times: Tensor, quats: Tensor, scales: Tensor, log_lambdas: Tensor, coefficients: Tensor
+    ) -> dict[str, Tensor]:  # fmt: skip
+        """Parameters for the first Gaussians, as far as they do not begin at 0, without means and times.
 
         Args:
+            means: [N, 3] where they are at their center times.
+            times: [N] these.
             quats: [N, 4] their rotations.
             scales: [N, 3]
             log_lambdas: [N] log of their temporal precision.
@@ -152,7 +156,7 @@ def motion_model(settings: ModelConfig) -> MotionModel:
     return model
 
 
-def presence(times: Tensor, log_lambdas: Tensor, t: float) -> Tensor:
+def presence(times: Tensor, log_lambdas: Tensor, t: float | Tensor) -> Tensor:
     """p(t) = exp(-lambda (t - mu_t)^2 / 2) [N]."""
     tau = t - times
     return torch.exp(-0.5 * torch.exp(log_lambdas) * tau * tau)

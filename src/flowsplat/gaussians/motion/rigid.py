@@ -41,7 +41,9 @@ class RigidMotion:
         """See ``MotionModel``."""
         return params["log_scales"]
 
-    def start(self, quats: Tensor, scales: Tensor, log_lambdas: Tensor, coefficients: Tensor) -> dict[str, Tensor]:
+    def start(
+        self, means: Tensor, times: Tensor, quats: Tensor, scales: Tensor, log_lambdas: Tensor, coefficients: Tensor
+    ) -> dict[str, Tensor]:  # fmt: skip
         """See ``MotionModel``."""
         return {"quats": quats, "log_scales": torch.log(scales), "log_lambdas": log_lambdas}
 

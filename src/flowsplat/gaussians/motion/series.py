@@ -66,14 +66,16 @@ class SeriesMotion(RigidMotion):
         """See ``MotionModel``."""
         return "series"
 
-    def start(self, quats: Tensor, scales: Tensor, log_lambdas: Tensor, coefficients: Tensor) -> dict[str, Tensor]:
+    def start(
+        self, means: Tensor, times: Tensor, quats: Tensor, scales: Tensor, log_lambdas: Tensor, coefficients: Tensor
+    ) -> dict[str, Tensor]:  # fmt: skip
         """See ``MotionModel``; coefficients beyond the order of the polynomial are left out."""
         poly = coefficients.new_zeros(len(coefficients), self.mean_poly, 3)
         order = min(coefficients.shape[1], self.mean_poly)
         poly[:, :order] = coefficients[:, :order]
-        return {**super().start(quats, scales, log_lambdas, coefficients), "mean_poly": poly}
+        return {**super().start(means, times, quats, scales, log_lambdas, coefficients), "mean_poly": poly}
 
-    def state(self, params: Params, t: float) -> MotionState:
+    def state(self, params: Params, t: float | Tensor) -> MotionState:
         """See ``MotionModel``."""
         tau = t - params["times"]
         mean_orders = self.mean_poly, self.mean_fourier, self.fourier_base

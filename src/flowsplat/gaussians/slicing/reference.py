@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
+from flowsplat.gaussians.motion import SharedMotion
 from flowsplat.gaussians.slicing.api import Gradients, Slice
 from flowsplat.splatting.harmonics import colors_from_harmonics
 
@@ -28,6 +29,11 @@ def slice_gaussians(
         for name, leaf in leaves.items():
             leaf.requires_grad_().register_hook(partial(gradients.__setitem__, name))
     n, motion, config = active.num_static, gaussians.motion, gaussians.config
+    if isinstance(motion, SharedMotion) and gradients is not None:
+        shared = {name: value.detach().requires_grad_() for name, value in gaussians.shared.items()}
+        for name, leaf in shared.items():
+            leaf.register_hook(partial(gradients.__setitem__, name))
+        motion = motion.bind(shared)
     moving = {name: value if name in gaussians.moving_names else value[n:] for name, value in leaves.items()}
     state = motion.state(moving, active.t)
     shape = motion.at_rest({name: value[:n] for name, value in leaves.items() if name not in gaussians.moving_names})

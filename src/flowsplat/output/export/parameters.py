@@ -33,10 +33,10 @@ def parameter_tensors(model: SceneModel) -> dict[str, Tensor]:
     """Return the arrays, by the names of docs/method.md."""
     gaussians = model.gaussians
     seen = {} if gaussians.seen is None else {"seen": gaussians.seen}
-    return {**gaussians.params, "dynamic": gaussians.dynamic, "object_ids": gaussians.object_ids, **seen}
+    return {**gaussians.values, "dynamic": gaussians.dynamic, "object_ids": gaussians.object_ids, **seen}
 
 
 def estimate_parameters_bytes(model: SceneModel, scene: Scene, options: ExportOptions) -> int:
     """Return about how many they are: those of all parameters, uncompressed, and of what is known of each Gaussian."""
     gaussians = model.gaussians
-    return sum(value.numel() * value.element_size() for value in gaussians.params.values()) + 2 * len(gaussians)
+    return sum(value.numel() * value.element_size() for value in gaussians.values.values()) + 2 * len(gaussians)

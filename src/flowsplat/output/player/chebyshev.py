@@ -75,8 +75,7 @@ def fit_motion(
     params = {name: value[rows] for name, value in gaussians.params.items()}
     middle, half = visible_interval(times, log_lambdas, gaussians.config.p_min)
     nodes = torch.cos(math.pi * (torch.arange(TIME_NODES, dtype=torch.float64) + 0.5) / TIME_NODES)
-    # Any model can be asked for one time only: every Gaussian is moved so that its own time becomes 0.
-    states = [gaussians.motion.state({**params, "times": params["times"] - (middle + half * float(node))}, 0.0) for node in nodes]
+    states = [gaussians.motion.state(params, middle + half * float(node)) for node in nodes]
     means = torch.stack([state.means for state in states], 1)
     if states[0].covars is not None:
         covars = torch.stack([state.covars for state in states if state.covars is not None], 1)

@@ -5,6 +5,8 @@
 | ``splits/train.json``, ``splits/val.json`` | ``frame_names``, ``time_ids``, ``camera_ids``: the clip, and the test |
 | ``camera/<frame name>.json`` | ``focal_length``, ``principal_point``, ``image_size`` (width, height), ``orientation`` (world to camera), ``position`` (of the camera), ``pixel_aspect_ratio``, ``skew``, ``radial_distortion``, ``tangential_distortion``; OpenCV |
 | ``rgb/1x/<frame name>.png`` | images of that size |
+| ``covisible/2x/val/<frame name>.png`` | DyCheck: what of a test image the clip saw, 0 = not; also under ``1x`` or ``4x`` |
+| ``keypoint/2x/train/<frame name>.json`` | DyCheck: points that people marked, for its benchmark alone (``flowsplat_benchmarks``) |
 
 On NVIDIA, camera 4 is the clip and 3, 5 and 6 are the test, at half size; the splits say so. Depth, segmentation and tracks that lie
 beside them come from networks and are not read (``--given.depth`` and its like take files of one's own).
@@ -12,6 +14,7 @@ beside them come from networks and are not read (``--given.depth`` and its like 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +28,9 @@ from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.formats.posed import PosedClip, PosedImage, PosedView, open_posed
 
 IMAGES = "rgb/1x"
+COVISIBLE = tuple(f"covisible/{factor}x/val" for factor in (2, 1, 4))
+"""Where the masks of what the clip saw may be, by how many times smaller than the camera says they are; the first that is there
+counts."""
 
 
 def is_nerfies(folder: Path) -> bool:
@@ -43,10 +49,21 @@ def open_nerfies(folder: Path, options: InputOptions) -> PosedClip:
     times = [time for _, time, _ in train]
     if len(set(times)) < len(times):
         raise InputError(f"{folder / 'splits/train.json'} has two images at one time: a clip has one.")
-    views = [PosedView(name, time, _image(folder, name)) for name, time, _ in test]
+    views = [
+        PosedView(name, time, replace(_image(folder, name), covisible=_find_covisible(folder, name))) for name, time, _ in test
+    ]
     cameras = [", ".join(sorted({camera for _, _, camera in split}, key=lambda c: (len(c), c))) for split in (train, test)]
     note = f"Camera {cameras[0]} makes the clip, {cameras[1] or 'none'} the test."
     return open_posed(folder, options, [_image(folder, name) for name, _, _ in train], views, times, [note])
+
+
+def list_training_names(folder: Path) -> list[str]:
+    """Return the names of the frames of the clip, in order.
+
+    Raises:
+        InputError: their list is missing or damaged.
+    """
+    return [name for name, _, _ in _read_split(folder, "train")]
 
 
 def _read_split(folder: Path, split: str) -> list[tuple[str, int, str]]:
@@ -67,6 +84,11 @@ def _read_split(folder: Path, split: str) -> list[tuple[str, int, str]]:
 
 def _image(folder: Path, name: str) -> PosedImage:
     return PosedImage(folder / IMAGES / f"{name}.png", read_camera(folder / "camera" / f"{name}.json"))
+
+
+def _find_covisible(folder: Path, name: str) -> Path | None:
+    paths = (folder / masks / f"{name}.png" for masks in COVISIBLE)
+    return next((path for path in paths if path.exists()), None)
 
 
 def read_camera(path: Path) -> Camera:

@@ -1,0 +1,108 @@
+"""Share parameters among all Gaussians of a model: bases, planes of features, the weights of a network.
+
+They are no rows: density control leaves them alone, and every Gaussian that moves has a part in their gradient. ``Gaussians4D``
+keeps them beside its rows (``shared``) and binds its model to them, so that ``state`` and all that asks it need not know of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+from typing_extensions import Self
+
+from flowsplat.gaussians.motion.protocol import MotionState, Params
+from flowsplat.gaussians.motion.rigid import RigidMotion
+
+FIT_GAUSSIANS = 4096
+"""Gaussians to whose paths the shared parameters are fitted at the start, at most. Chosen by eye."""
+FIT_STEPS = 150
+"""Steps of Adam of that fit. Chosen by eye."""
+FIT_RATE = 0.01
+"""Learning rate of that fit at its start; it falls to 0 along a cosine. Chosen by eye."""
+FIT_SIGMAS = (-1.0, -0.5, 0.5, 1.0)
+"""At which times from its center, in standard deviations of its presence, the path of a Gaussian is asked for. Chosen by eye."""
+
+
+@dataclass(frozen=True)
+class SharedParameter:
+    """A parameter that all Gaussians share.
+
+    Attributes:
+        shape: of its value.
+        rate: Adam's learning rate at the start, which falls like that of motion (``RatesConfig.motion_decay``); 0 = it is not
+            learned, and ``SharedMotion.anneal`` sets it.
+    """
+
+    shape: tuple[int, ...]
+    rate: float
+
+
+@dataclass(frozen=True)
+class SharedMotion(RigidMotion):
+    """A model with shared parameters: a subclass names them and says how they begin.
+
+    Attributes:
+        shared: their values by name; empty until ``bind``.
+    """
+
+    shared: Mapping[str, Tensor] = field(default_factory=dict, kw_only=True, repr=False, compare=False)
+
+    @property
+    def shared_parameters(self) -> dict[str, SharedParameter]:
+        """All of them, by name; none has the name of a parameter of Gaussians."""
+        raise NotImplementedError
+
+    def bind(self, shared: Mapping[str, Tensor]) -> Self:
+        """Return the same model with these values."""
+        return replace(self, shared=shared)
+
+    def read_shared(self, name: str, like: Tensor) -> Tensor:
+        """Return the value of one, in the type of ``like``: what looks at a trained scene may do so in float64."""
+        return self.shared[name].to(like.dtype)
+
+    def initial_shared(self) -> dict[str, Tensor]:
+        """Return values with which nothing moves, as training begins with them; float32, the same every time."""
+        raise NotImplementedError
+
+    def state(self, params: Params, t: float | Tensor) -> MotionState:
+        """See ``MotionModel``."""
+        raise NotImplementedError
+
+    def anneal(self, progress: float) -> dict[str, float]:
+        """Return what the shared parameters that are not learned become after this share of training, 0 to 1."""
+        return {}
+
+    def start_shared(self, params: Params, coefficients: Tensor) -> dict[str, Tensor]:
+        """Return values with which the first Gaussians follow their paths, as nearly as some steps of Adam bring it.
+
+        Args:
+            params: of the first Gaussians, from ``start``.
+            coefficients: [N, order, 3] a_n of mu(t) = mean + sum a_n tau^n, as in ``start``; order may be 0.
+        """
+        initial = self.initial_shared()
+        if coefficients.shape[1] == 0 or len(coefficients) == 0:
+            return initial
+        generator = torch.Generator().manual_seed(0)
+        rows = torch.randperm(len(coefficients), generator=generator)[:FIT_GAUSSIANS]
+        rows = rows.repeat(len(FIT_SIGMAS))
+        some, followed = {name: value[rows] for name, value in params.items()}, coefficients[rows]
+        sigmas = torch.tensor(FIT_SIGMAS).repeat_interleave(len(rows) // len(FIT_SIGMAS))
+        spans = sigmas * torch.exp(-0.5 * self.log_precision(some))
+        powers = torch.stack([spans ** (n + 1) for n in range(followed.shape[1])], 1)
+        paths = torch.bmm(powers[:, None], followed)[:, 0]
+        learned = [name for name, parameter in self.shared_parameters.items() if parameter.rate > 0]
+        leaves = {name: value.clone().requires_grad_(name in learned) for name, value in initial.items()}
+        adam = torch.optim.Adam([leaves[name] for name in learned], FIT_RATE)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, FIT_STEPS)
+        model = self.bind(leaves)
+        with torch.enable_grad():
+            for _ in range(FIT_STEPS):
+                moved = model.state(some, some["times"] + spans).means - some["means"]
+                adam.zero_grad()
+                (moved - paths).norm(dim=1).mean().backward()
+                adam.step()
+                schedule.step()
+        return {name: value.detach() for name, value in leaves.items()}

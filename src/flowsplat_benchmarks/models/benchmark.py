@@ -1,0 +1,83 @@
+"""Run the motion models: everything but ``model.kind`` is the same for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from flowsplat.scenes.ingest import open_clip
+from flowsplat_benchmarks.ablations.scenes import AblationScene, ablation_scenes, choose_scenes
+from flowsplat_benchmarks.ablations.training_runs import comparable, list_training_runs
+from flowsplat_benchmarks.models.lineup import LINEUP, choose_entrants
+from flowsplat_benchmarks.models.measure import measure_motion
+from flowsplat_benchmarks.models.report import write_report
+from flowsplat_benchmarks.models.times import list_heldout
+from flowsplat_benchmarks.resume import BenchmarkOptions, measure_jobs, results_in
+
+PROTOCOL = "models"
+SCENES = ("bear", "workshop", "street", "dance-twirl")
+SEEDS = (0, 1)
+"""Of the random numbers of the runs."""
+ITERATIONS = 1500
+"""Frame-steps of every run."""
+CLIP_SIDE = 427
+"""Long side of the clips, pixels; a rendered scene keeps its own."""
+MAX_GAUSSIANS = 100_000
+"""Gaussians of every run, at most: with more a network over all of them is too slow for two cores."""
+
+
+def run_models(
+    root: Path,
+    out: Path,
+    models: Sequence[str] = (),
+    scenes: Sequence[str] = SCENES,
+    seeds: Sequence[int] = SEEDS,
+    iterations: int = ITERATIONS,
+    again: bool = False,
+    options: BenchmarkOptions | None = None,
+) -> Path:
+    """Run or resume the models: one JSON a run, ``OUT/models.md`` and ``.html``, and an image of the first table.
+
+    Args:
+        root: the data root.
+        models: names of models; none = all. The base is always among them.
+        scenes: names of scenes.
+        seeds: every model is trained once with each.
+        iterations: frame-steps of every run.
+        again: forget the figures of these runs that are in OUT; prepared scenes stay.
+        options: how many at a time, and by what.
+
+    Returns:
+        path of the page, which shows all runs in OUT with these settings and steps.
+
+    Raises:
+        InputError: a name is not known, an input cannot be used, or the folder cannot be written.
+    """
+    variants = [entrant.variant for entrant in choose_entrants(models)]
+    known = ablation_scenes(root, CLIP_SIDE)
+    wanted = [hold_out(scene) for scene in choose_scenes(root, known, scenes)]
+    runs = list_training_runs(PROTOCOL, wanted, variants, seeds, iterations, MAX_GAUSSIANS)
+    jobs = [replace(run, measure_more=measure_motion).job(out) for run in runs]
+
+    def report(failed: Mapping[str, str]) -> Path:
+        results = results_in(PROTOCOL, out)
+        names = {result["scene"] for result in results}
+        there = {scene.case.scene: scene for scene in wanted}
+        there |= {scene.case.scene: hold_out(scene) for scene in known if scene.case.scene in names - set(there)}
+        every = [entrant.variant for entrant in LINEUP]
+        found, others = comparable(results, PROTOCOL, list(there.values()), every, iterations, MAX_GAUSSIANS)
+        return write_report(out, found, failed, others)
+
+    return measure_jobs(jobs, out, report, "runs", again, options)
+
+
+def hold_out(scene: AblationScene) -> AblationScene:
+    """Return a scene with the frames of ``times`` held out, of rendered scenes beside their cameras from aside.
+
+    Raises:
+        InputError: the input cannot be used.
+    """
+    case = scene.case
+    frames = list_heldout(open_clip(case.source, case.config.input).num_frames)
+    return replace(scene, case=replace(case, config=replace(case.config, input=replace(case.config.input, holdout_frames=frames))))
