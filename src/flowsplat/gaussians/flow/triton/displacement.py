@@ -85,8 +85,8 @@ class _Features(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, colors: Tensor, depths: Tensor, means2d: Tensor, next_means: Tensor, camera: Tensor) -> Tensor:
         ctx.save_for_backward(next_means, camera)
-        given = (tensor.detach().contiguous() for tensor in (colors, depths, means2d, next_means))
-        return compute_displacement_features(*given, camera)
+        colors, depths, means2d, next_means = (tensor.detach().contiguous() for tensor in (colors, depths, means2d, next_means))
+        return compute_displacement_features(colors, depths, means2d, next_means, camera)
 
     @staticmethod
     @once_differentiable
