@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -53,6 +54,15 @@ def test_no_more_share_a_place_than_there_are_binomials():
 def test_nothing_to_relocate():
     new, scales = gsplat_ops.compute_relocation(torch.zeros(0), torch.zeros(0, 3), torch.zeros(0, dtype=torch.int64), BINOMIALS)
     assert (new.shape, scales.shape) == ((0,), (0, 3))
+
+
+def test_opacities_may_be_a_column():
+    """As Splatfacto has them."""
+    opacities, scales, ratios = torch.tensor([0.2, 0.5, 0.9]), torch.ones(3, 3), torch.tensor([1, 2, 9])
+    new, larger = gsplat_ops.compute_relocation(opacities, scales, ratios, BINOMIALS)
+    column, same = gsplat_ops.compute_relocation(opacities[:, None], scales, ratios, BINOMIALS)
+    assert torch.equal(column, new[:, None])
+    assert torch.equal(same, larger)
 
 
 def test_gaussians_that_share_a_place_look_as_the_one_did():
@@ -120,7 +130,7 @@ def test_adam_steps_where_it_may():
     [
         (lambda: gsplat_ops.compute_relocation(numbers(3), numbers(2, 3), torch.ones(3), BINOMIALS), "scales"),
         (lambda: gsplat_ops.compute_relocation(numbers(3), numbers(3, 3), torch.ones(2), BINOMIALS), "ratios"),
-        (lambda: gsplat_ops.compute_relocation(numbers(3, 1), numbers(3, 3), torch.ones(3), BINOMIALS), "opacities"),
+        (lambda: gsplat_ops.compute_relocation(numbers(3, 2), numbers(3, 3), torch.ones(3), BINOMIALS), "opacities"),
         (lambda: gsplat_ops.quat_scale_to_covar_preci(numbers(3, 3), numbers(3, 3)), "quats"),
         (lambda: gsplat_ops.quat_scale_to_covar_preci(numbers(3, 4), numbers(2, 3)), "scales"),
         (lambda: gsplat_ops.spherical_harmonics(5, numbers(3, 3), numbers(3, 36, 3)), "degrees_to_use"),
@@ -139,6 +149,12 @@ def test_what_does_not_fit_is_named(call, named):
 def test_without_gsplat_there_is_nothing_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "gsplat", None)
     with pytest.raises(ImportError):
+        gsplat_ops.install()
+
+
+def test_another_version_is_refused(monkeypatch):
+    monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(__version__="1.4.0"))
+    with pytest.raises(ImportError, match=r"gsplat 1\.5, and this is gsplat 1\.4\.0"):
         gsplat_ops.install()
 
 

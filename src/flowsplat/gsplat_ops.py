@@ -36,18 +36,19 @@ def compute_relocation(opacities: Tensor, scales: Tensor, ratios: Tensor, binoms
     """Return what each of several Gaussians must look like to look together as one did (Kheradmand et al. 2024, eq. 9).
 
     Args:
-        opacities: [N] of the ones.
+        opacities: [N] or [N, 1] of the ones.
         scales: [N, 3] of them.
         ratios: [N] int, how many come into the place of each; fewer than one counts as one. Unlike gsplat's, it is left as it is.
         binoms: [n_max, n_max] whose size alone is looked at: more than n_max count as n_max.
 
     Returns:
-        opacities [N] and scales [N, 3].
+        opacities, in the shape that they had, and scales [N, 3].
 
     Raises:
         ValueError: a shape does not fit.
     """
-    _check(opacities=(opacities, (None,)), scales=(scales, (len(opacities), 3)), ratios=(ratios, (len(opacities),)))
+    column = (1,) if opacities.ndim == 2 else ()
+    _check(opacities=(opacities, (None, *column)), scales=(scales, (len(opacities), 3)), ratios=(ratios, (len(opacities),)))
     return _relocation(opacities, scales, ratios, binoms, len(binoms))
 
 
@@ -160,9 +161,12 @@ def install() -> None:
     them (it does where it finds ``nvcc``), it does not any more: import ``gsplat.cuda._backend`` before, to have both.
 
     Raises:
-        ImportError: gsplat is not installed, or is not laid out as versions 1.4 and 1.5 are.
+        ImportError: gsplat is not installed, or of another version than 1.5, whose operators have other names.
     """
     gsplat: Any = import_module("gsplat")
+    version = str(getattr(gsplat, "__version__", "unknown"))
+    if not version.startswith("1.5"):
+        raise ImportError(f"flowsplat.gsplat_ops has the operators of gsplat 1.5, and this is gsplat {version}")
     backend: Any = sys.modules.get("gsplat.cuda._backend")
     if backend is None:
         theirs = getattr(gsplat, "csrc", None)
@@ -171,7 +175,7 @@ def install() -> None:
         gsplat.csrc = _Operators(theirs)  # gsplat looks here first, and compiles nothing where it finds something
         backend = import_module("gsplat.cuda._backend")
     if not hasattr(backend, "_C"):
-        raise ImportError("this version of gsplat keeps its operators elsewhere: flowsplat.gsplat_ops knows 1.4 and 1.5")
+        raise ImportError(f"gsplat {version} keeps its operators elsewhere than 1.5 does")
     if not isinstance(backend._C, _Operators):
         backend._C = _Operators(backend._C)
 
@@ -198,8 +202,8 @@ class _Operators:
 
 
 def _relocation(opacities: Tensor, scales: Tensor, ratios: Tensor, binoms: Tensor, n_max: int) -> tuple[Tensor, Tensor]:
-    new, factors = share_place(opacities, ratios, n_max)
-    return new, factors[:, None] * scales
+    new, factors = share_place(opacities.flatten(), ratios.flatten(), n_max)
+    return new.reshape(opacities.shape), factors[:, None] * scales
 
 
 def _covar_preci_fwd(*args: Any) -> tuple[Tensor, Tensor]:

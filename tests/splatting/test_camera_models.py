@@ -119,16 +119,25 @@ def test_a_fisheye_bends_as_that_of_opencv():
     assert int(shows.sum()) > 40
 
 
-def test_what_a_lens_folds_back_is_culled():
-    """theta (1 - theta^2 / 2) falls beyond 46.8 degrees."""
-    angles = torch.tensor([0.3, 0.7, 0.9, 1.2])
-    means = torch.stack([torch.sin(angles), torch.zeros(4), torch.cos(angles)], 1)
-    K = torch.tensor([[20.0, 0, 20], [0, 20, 13], [0, 0, 1]])
+@pytest.mark.parametrize(
+    ("coefficients", "angles", "visible"),
+    [
+        # theta (1 - theta^2 / 2) falls beyond 46.8 degrees.
+        ([-0.5, 0, 0, 0], [0.3, 0.7, 0.9, 1.2], [True, True, False, False]),
+        # This one falls between .95 and 1.22 and rises again, over what is there already.
+        ([-0.6, 0.15, 0, 0], [0.3, 0.8, 1.0, 1.3], [True, True, False, False]),
+        ([0.1, 0.01, 0, 0], [0.3, 0.8, 1.0, 1.3], [True, True, True, True]),
+    ],
+)
+def test_what_a_lens_folds_back_is_culled(coefficients, angles, visible):
+    theta = torch.tensor(angles)
+    means = torch.stack([torch.sin(theta), torch.zeros(4), torch.cos(theta)], 1)
+    K = torch.tensor([[12.0, 0, 20], [0, 12, 13], [0, 0, 1]])
     projected = project(
         means, torch.tensor([[1.0, 0, 0, 0]]).expand(4, 4), torch.full((4, 3), 0.01), torch.ones(4), torch.eye(4), K, WIDTH, HEIGHT,
-        camera_model="fisheye", radial_coeffs=torch.tensor([-0.5, 0, 0, 0]),
+        camera_model="fisheye", radial_coeffs=torch.tensor(coefficients),
     )  # fmt: skip
-    assert projected.visible.tolist() == [True, True, False, False]
+    assert projected.visible.tolist() == visible
 
 
 @pytest.mark.parametrize(

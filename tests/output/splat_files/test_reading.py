@@ -195,6 +195,7 @@ HUGE = struct.pack("<IIIBBBB", MAGIC, 3, MAX_GAUSSIANS + 1, 0, 12, 0, 0)
         ("a.spz", gzip.compress(struct.pack("<IIIBBBB", MAGIC, 3, 9, 0, 12, 0, 0) + b"x" * 50), "truncated"),
         ("a.txt", b"ply", "none of .ply, .splat, .spz"),
     ],
+    ids=lambda value: value if isinstance(value, str) else "bytes",  # packed bytes hold the time of day
 )  # fmt: skip
 def test_what_cannot_be_read_is_refused(tmp_path, name, data, said):
     (tmp_path / name).write_bytes(data)
