@@ -107,6 +107,14 @@ def test_the_network_sees_more_frequencies_as_training_goes_on(observations):
     assert counts == [2.0, 6.0, 10.0, 10.0]
 
 
+def test_a_network_that_goes_on_keeps_its_frequencies(observations):
+    """Where a scene is fitted to formats with one color, say, which begins early in the fall of the rates."""
+    start = a_few_of("deformation")
+    start.shared["octaves"].fill_(10.0)
+    found = Trainer(observations, None, settings("deformation", iterations=6), start=start, first_step=2).run()
+    assert float(found.shared["octaves"]) == 10.0
+
+
 @pytest.mark.parametrize(
     "spoil",
     [

@@ -4,7 +4,7 @@
 The keys of ``metrics.json``. Every number is finite; what could not be measured is null:
 
 - ``heldout_frames``: ``psnr``, ``ssim``, ``lpips`` (means over the images), ``count``, and the same in ``moving``,
-  inside the given masks.
+  inside the given masks or, where there are none, the true ones.
 - ``heldout_frames_refined``: the same figures with the pose of every held-out frame refined on its own image. Never the
   headline; null where that was not asked for. In ``per_image`` they are each image's ``refined``.
 - ``heldout_views``: as ``heldout_frames``, and in ``covisible``, the pixels that the clip saw.

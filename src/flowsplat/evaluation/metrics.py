@@ -89,7 +89,8 @@ def compute_masked_ssim(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float
     """Structural similarity of which only the pixels in ``mask`` [H, W] bool know anything; mean over these.
 
     As ``ssim_map``, but every mean of a window is that of its pixels inside the mask (a partial convolution), so that what the clip
-    never saw counts nowhere: the mSSIM of DyCheck (https://arxiv.org/abs/2210.13445, section 4).
+    never saw counts nowhere: as the mSSIM of DyCheck (https://arxiv.org/abs/2210.13445, section 4), whose
+    own code also averages over pixels that the clip never saw, so figures of both cannot be compared.
 
     Returns:
         None for fewer than ``MIN_PIXELS`` pixels.

@@ -197,7 +197,8 @@ def revise_dynamic(
         sigma = torch.exp(-0.5 * chosen.motion.log_precision(chosen.params))
         times = chosen.params["times"]
         center, side = (chosen.motion.state(chosen.params, t) for t in (times, times + sigma))
-        traveled = torch.maximum((side.means - center.means).norm(dim=1) / sigma.clamp(min=1e-6), center.velocities.norm(dim=1))
+        later = times + sigma - times  # what is left of sigma beside a time
+        traveled = torch.maximum((side.means - center.means).norm(dim=1) / later.clamp(min=1e-6), center.velocities.norm(dim=1))
         speed[rows] = focal * traveled
     to_rest = gaussians.dynamic & visited & (speed < resting_pixels) & (residual < 0.5 * moving_residual)
     moved = torch.nonzero(to_dynamic).squeeze(1)

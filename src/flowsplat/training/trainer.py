@@ -150,7 +150,8 @@ class Trainer:
         """Take one optimizer step over the next frames; return the last of them as it was rendered, and the figures of all."""
         state, config = self.state, self.config
         state.gaussians.sh_degree = min(state.gaussians.config.sh_degree, 4 * state.step // max(config.iterations, 1))
-        state.gaussians.anneal(state.step / max(config.iterations, 1))
+        # A scene that goes on is trained already: nothing is taken from it that came in while it was.
+        state.gaussians.anneal(1.0 if self._first_step else state.step / max(config.iterations, 1))
         frames = state.order.take(config.frames_per_iteration or len(self.observations))
         for k in (*frames[1:2], *state.order.following):
             self._targets.prefetch(k)

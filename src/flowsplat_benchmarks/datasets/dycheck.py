@@ -101,6 +101,7 @@ def _measure_transfers(model: SceneModel, scene: Scene, marked: dict[int, np.nda
             if other == frame or points[k, 2] <= 0:
                 continue
             place = paths.points[q, other].astype(float)
-            pixel = scene.cameras[other].project(place[None])[0][0] if np.isfinite(place).all() else np.full(2, np.inf)
-            right.append(bool(np.linalg.norm(pixel - points[k, :2]) <= PCK_TOLERANCE * max(scene.width, scene.height)))
+            pixel, depth = (found[0] for found in scene.cameras[other].project(np.nan_to_num(place)[None]))
+            is_seen = bool(np.isfinite(place).all()) and depth > 0
+            right.append(is_seen and bool(np.linalg.norm(pixel - points[k, :2]) <= PCK_TOLERANCE * max(scene.width, scene.height)))
     return (100 * float(np.mean(right)) if right else None), len(right)
