@@ -118,8 +118,8 @@ def test_defaults_are_those_of_the_command_that_is_named(tmp_path, scene, capsys
         (["train", str(out)], 6),
         (["train", str(out), "--preset", "paper"], 1500),
         (["render", str(out)], 6),
-        (["run", str(out)], 2000),
-        (["export", str(out)], 2000),
+        (["run", str(out)], 1600),
+        (["export", str(out)], 1600),
     ):
         train = inspect.signature(functions_of("flowsplat.cli.commands", arguments)["train"]).parameters["train"]
         assert train.default.iterations == iterations, arguments

@@ -28,7 +28,7 @@ FREE_CAP = PRESETS["default"].density.max_gaussians
 """What a result tells of such a run as its cap."""
 CAPS = (100_000, 200_000, 400_000, FREE)
 """Gaussians at most, of the runs with different caps."""
-STEPS = (500, 1000, 2000, 4000)
+STEPS = (400, 800, 1600, 3200)
 """Frame-steps of the runs with different numbers of steps."""
 ITERATIONS = PRESETS["default"].iterations
 """Frame-steps of the runs with different caps."""

@@ -88,9 +88,9 @@ def test_caps(tmp_path):
                 "protocol": "caps",
                 "cap": cap,
                 "gaussians": {"total": count - 9, "active_mean": 0.5 * count},
-                "iterations": 2000,
+                "iterations": 1600,
             }
-            found.append(result(f"cap{cap}-steps2000", psnr, scene, **more, page_bytes=30 * count))
+            found.append(result(f"cap{cap}-steps1600", psnr, scene, **more, page_bytes=30 * count))
         found.append(result("cap200000-steps250", 27.0, scene, protocol="caps", cap=200_000, iterations=250))
     caps.write_report(tmp_path, found, {})
     text = (tmp_path / "caps.md").read_text()
@@ -98,7 +98,7 @@ def test_caps(tmp_path):
     assert "| bear, tuned | free | 31.00 | 29.00 |" in text
     assert text.index("| bear, tuned | 200,000 |") < text.index("| bear, tuned | free |")
     assert "| train, tuned | 250 | 27.00 |" in text
-    assert text.count("| bear, tuned | 2,000 |") == 1
+    assert text.count("| bear, tuned | 1,600 |") == 1
     assert "49,991" in text
     assert "| 1.50 | 40.0 |" in text, "megabytes of the page, and milliseconds an image"
     for name in (*caps.COSTS, "steps"):
@@ -123,7 +123,7 @@ def test_one_run_tells_nothing(tmp_path):
 
 
 def test_many_scenes_are_not_all_in_the_image(tmp_path):
-    found = [result("x", 30.0, scene, cap=cap, iterations=2000) for scene in "abcdefg" for cap in (50_000, 200_000)]
+    found = [result("x", 30.0, scene, cap=cap, iterations=1600) for scene in "abcdefg" for cap in (50_000, 200_000)]
     caps.write_report(tmp_path, found, {})
     assert (tmp_path / "caps_gaussians.svg").read_text().count('<path class="line"') == 5
     text = (tmp_path / "caps.md").read_text()
