@@ -184,8 +184,8 @@ def measure(run: FieldRun, out: Path) -> dict[str, Any]:
 
     Returns:
         as ``training_runs.measure``, without what a field does not have; ``iterations`` are the steps that were made, ``planned``
-        those that were to fit into the seconds; ``times``, ``wanted_seconds``, ``cores``, ``threads``, ``parameters`` (how many numbers),
-        ``inside_ssim``.
+        those that were to fit into the seconds; ``times``, ``wanted_seconds``, ``cores``, ``threads``, ``parameters`` (how many
+        numbers), ``inside_ssim``.
 
     Raises:
         InputError: the input cannot be used, or ``default`` was not measured.

@@ -46,7 +46,9 @@ class FieldRenderer:
             for start in range(0, len(rays), config.chunk):
                 part = rays.part(start, start + config.chunk)
                 _, fine = render_rays(self.field, part, near, far, config.samples, config.importance)
-                color.append(fine.color), alpha.append(fine.alpha), depth.append(fine.depth)
+                color.append(fine.color)
+                alpha.append(fine.alpha)
+                depth.append(fine.depth)
         size = (camera.height, camera.width)
         covered = torch.cat(alpha)
         planar = torch.where(covered > 0, torch.cat(depth) / covered.clamp_min(1e-9), 0) / similarity.scale

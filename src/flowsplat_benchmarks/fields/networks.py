@@ -157,8 +157,10 @@ class Field(nn.Module):
 
 
 class TNerf(Field):
-    """A NeRF with time as one more input: the baseline T-NeRF of D-NeRF (https://arxiv.org/abs/2011.13961, section 5), which DyCheck
-    (https://arxiv.org/abs/2210.13445) measures, too."""
+    """A NeRF with time as one more input: the baseline T-NeRF of D-NeRF (https://arxiv.org/abs/2011.13961, section 5).
+
+    DyCheck (https://arxiv.org/abs/2210.13445) measures it, too.
+    """
 
     def __init__(self, config: FieldConfig, generator: torch.Generator):
         inputs = count_encoded(3, config.point_octaves) + count_encoded(1, config.time_octaves)
@@ -173,8 +175,8 @@ class TNerf(Field):
 class HyperNerf(Field):
     """A template of five coordinates, on a slicing surface: Park et al. 2021 (https://arxiv.org/abs/2106.13228).
 
-    A deformation moves every point into the template, and a slicing surface says at which ambient coordinates it is asked there; both
-    read the code of the frame. Between training frames the code is that of the neighbors in time, mixed linearly.
+    A deformation moves every point into the template, and a slicing surface says at which ambient coordinates it is asked there;
+    both read the code of the frame. Between training frames the code is that of the neighbors in time, mixed linearly.
     """
 
     code_times: Tensor

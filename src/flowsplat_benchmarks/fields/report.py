@@ -13,11 +13,11 @@ DEFAULT = "default"
 """Name of the run that the fields are compared with."""
 LABELS = {DEFAULT: "Flow Splatting, preset default", "t-nerf": "T-NeRF", "hypernerf": "HyperNeRF"}
 REMARKS = (
-    "The fields are trained on the same training frames and cameras as default, for the seconds that it took, and for a multiple of "
-    "them; their priors are none but how near and how far the scene is. In brackets: inside the masks of what moves.",
+    "The fields are trained on the same training frames and cameras as default, for the seconds that it took, and for a multiple "
+    "of them; their priors are none but how near and how far the scene is. In brackets: inside the masks of what moves.",
     "The networks are as large as published. A ray has 32 samples and 32 more, and a step 256 rays; HyperNeRF has 128 and 128, and "
-    "6,144 rays of four accelerators. Schedules of hundreds of thousands of steps are shortened to those that fit. HyperNeRF has no "
-    "code of the appearance of a frame here, and that of a held-out frame is mixed from its neighbors in time.",
+    "6,144 rays of four accelerators. Schedules of hundreds of thousands of steps are shortened to those that fit. HyperNeRF has "
+    "no code of the appearance of a frame here, and that of a held-out frame is mixed from its neighbors in time.",
     "The paper's rows (its Table 1, of other scenes, on a GPU): T-NeRF 20.76 dB, SSIM 0.59; HyperNeRF 20.05 dB, SSIM 0.57; Flow "
     "Splatting 22.72 dB, SSIM 0.72. It trains both fields for more than 20 hours. A row here says what a field reaches in its "
     "seconds on these cores, and nothing of what it would reach with more.",

@@ -98,7 +98,7 @@ class FieldTrainer:
         coarse, fine = render_rays(self.field, rays, data.near, data.far, config.samples, config.importance, self._generator)
         errors = [((shown.color - colors) ** 2).mean() for shown in (coarse, fine)]
         self._optimizer.zero_grad(set_to_none=True)
-        (errors[0] + errors[1]).backward()  # type: ignore[no-untyped-call]
+        (errors[0] + errors[1]).backward()
         self._optimizer.step()
         self.step, self.loss = self.step + 1, float(errors[1].detach())
 
@@ -142,8 +142,8 @@ def plan_steps(data: TrainingRays, plan: Plan) -> int:
 def train_field(data: TrainingRays, plan: Plan, folder: Path, steps: int | None = None) -> Trained:
     """Train a field until its steps or its seconds are over, whichever is first; what a checkpoint has is not done again.
 
-    How many steps there will be is found once, from the time of a few, because the learning rate and the annealing follow from it. A
-    training that was stopped and continued has the same bits as one that was not, if it makes as many steps.
+    How many steps there will be is found once, from the time of a few, because the learning rate and the annealing follow from it.
+    A training that was stopped and continued has the same bits as one that was not, if it makes as many steps.
 
     Args:
         folder: for the checkpoint.

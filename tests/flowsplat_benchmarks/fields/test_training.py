@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 import signal
 
 import numpy as np
@@ -142,8 +143,8 @@ def test_stopped_and_continued_it_has_the_same_bits(name, tiny_scene, tmp_path, 
         assert torch.equal(value, parts.field.state_dict()[key]), key
     done = train_field(data, plan(name), tmp_path / "parts", steps=6)
     assert (done.steps, done.seconds) == (6, pytest.approx(parts.seconds, abs=5))
+    (tmp_path / "parts" / CHECKPOINT).write_bytes(b"torn")
     with pytest.raises(InputError, match="damaged or truncated"):
-        (tmp_path / "parts" / CHECKPOINT).write_bytes(b"torn")
         train_field(data, plan(name), tmp_path / "parts", steps=6)
 
 
@@ -169,16 +170,26 @@ def test_an_image_does_not_depend_on_the_chunks_and_is_scored_once(tiny_scene, t
         make_field("hypernerf", scene.times[scene.train_frames].tolist(), dataclasses.replace(TINY, chunk=chunk), 0)
         for chunk in (10_000, 100)
     )
-    i = scene.heldout_frames[0] if scene.heldout_frames else 0
+    i = scene.heldout_frames[0]
     first, second = (FieldRenderer(field, scene).render(scene.cameras[i], scene.timestamps[i]) for field in (whole, parts))
     np.testing.assert_allclose(first.color, second.color, atol=1e-5)
     np.testing.assert_allclose(first.depth, second.depth, rtol=1e-4)
     assert first.color.shape == (scene.height, scene.width, 3)
     assert first.alpha == pytest.approx(1, abs=1e-4)
     found = score_field(whole, scene, tmp_path / "scores.json", "key")
-    assert found["figures"]["count"] == (len(scene.views) or len(scene.heldout_frames))
+    assert (found["kind"], found["figures"]["count"]) == ("frames", len(scene.heldout_frames))
+    assert found["figures"]["moving"]["psnr"] > 3
     assert 3 < found["figures"]["psnr"] < 60
     assert found["image_seconds"] > 0
     with monkeypatch.context() as patch:
         patch.setattr(FieldRenderer, "render", None)
         assert score_field(whole, scene, tmp_path / "scores.json", "key") == found
+
+
+def test_views_are_measured_in_the_place_of_frames(tiny_scene, tmp_path):
+    shutil.copytree(tiny_scene, tmp_path / "scene")
+    shutil.copy(tiny_scene.parent / "views.json", tmp_path / "scene")
+    scene = Scene(tmp_path / "scene")
+    found = score_field(make_field("t-nerf", [0.0, 1.0], TINY, 0), scene, tmp_path / "scores.json", "key")
+    assert (found["kind"], found["figures"]["count"]) == ("views", len(scene.views))
+    assert scene.views

@@ -62,7 +62,7 @@ def test_screws_are_matrix_exponentials_with_gradients(size):
     for point, screw, moved in zip(points, screws, move_by_screws(points, screws), strict=True):
         x, y, z = screw[:3].tolist()
         twist = torch.zeros((4, 4), dtype=torch.float64)
-        twist[:3, :3] = torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        twist[:3, :3] = torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=torch.float64)
         twist[:3, 3] = screw[3:]
         expected = torch.linalg.matrix_exp(twist) @ torch.cat([point, torch.ones(1, dtype=torch.float64)])
         torch.testing.assert_close(moved, expected[:3], rtol=1e-9, atol=1e-9)
