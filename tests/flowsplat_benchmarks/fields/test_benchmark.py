@@ -76,10 +76,9 @@ def test_it_trains_and_continues(runs_root, tmp_path, on_tiny_scene, monkeypatch
         assert value["parameters"] > 1000
     text = (tmp_path / "fields.md").read_text()
     assert len([line for line in text.splitlines() if line.startswith("|") and "seconds on" in line]) == 5
-    monkeypatch.setattr(benchmark, "measure", None)
+    monkeypatch.setattr(benchmark, "train_field", None)
     call(*arguments)
     assert on_tiny_scene == ["bear_240"], "nothing is measured twice"
-    monkeypatch.undo()
     assert "no field 'x': choose from t-nerf, hypernerf" in refuse(capsys, *arguments, "--fields", "x")
     assert "no scene 'x'" in refuse(capsys, "fields", runs_root, "-o", tmp_path, "--scenes", "x")
     for option in (("--times", "0"), ("--seconds", "-1"), ("--seconds", "inf")):
