@@ -45,7 +45,7 @@ class TrainingRun:
     """A variant on a scene with a seed.
 
     Attributes:
-        protocol: ablations, caps or models.
+        protocol: ablations, caps, models or fields.
         scene: prepared or to be prepared.
         variant: how it is trained.
         config: all settings of the training, the seed among them.
@@ -67,7 +67,7 @@ class TrainingRun:
     @property
     def tells_costs(self) -> bool:
         """Whether it also measures the page and the time of an image, which no table of ablations shows."""
-        return self.protocol in ("caps", "models")
+        return self.protocol in ("caps", "models", "fields")
 
     @property
     def key(self) -> str:
@@ -97,7 +97,7 @@ def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
         (``source_state``), ``test`` (``kind``, ``count``), ``psnr``, ``ssim``, ``lpips`` and ``moving`` (PSNR) of the held-out
         images with strict cameras, ``training_psnr``, ``flow_epe`` and ``flow_prior_epe`` (mean, pixels), ``gaussians``
         (``total``, ``active_mean``), ``page_bytes`` (of ``export --to html``) and ``image_seconds`` (by the clock, the median of
-        the clip's own views), both of caps and models only, ``seconds`` (``train`` by the clock, ``train_cpu`` of all cores,
+        the clip's own views), both not of ablations, ``seconds`` (``train`` by the clock, ``train_cpu`` of all cores,
         ``evaluate``), ``peak_memory_gib`` and what ``measure_more`` gives.
     """
     scene = Scene(path)
