@@ -90,8 +90,8 @@ def check_serving(options: ViewOptions) -> None:
         InputError: an option cannot be used, viser is missing, the device does not work, or the address cannot be listened on.
     """
     _check_options(options)
-    pick_device(options.device)
     _check_address(options.host, options.port)
+    pick_device(options.device)
 
 
 def view(folder: Path, options: ViewOptions) -> None:
