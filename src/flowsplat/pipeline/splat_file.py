@@ -58,7 +58,7 @@ def make_model(splats: Splats, name: str = "The file") -> SceneModel:
     }  # fmt: skip
     given = {key: np.ascontiguousarray(value, np.float32) for key, value in given.items()}
     # What was within bounds in the units of the file may be beyond them in those of the model, which nobody could load.
-    usable = np.logical_and(*(is_storable(key, given[key]).all(1) for key in ("means", "log_scales")))
+    usable = np.asarray(is_storable("means", given["means"]).all(1) & is_storable("log_scales", given["log_scales"]).all(1))
     report_left_out(name, int((~usable).sum()), len(splats))
     count = int(usable.sum())
     if count == 0:
