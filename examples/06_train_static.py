@@ -4,7 +4,8 @@
 
 MODEL is a COLMAP text model with pinhole cameras (``colmap model_converter --output_type TXT``, or ``flowsplat export RUN --to
 colmap``), IMAGES the folder that the names in it begin in. Every eighth image is held out. MASKS has files with the names of the
-images: where one is not black, something moves, and the pixel counts neither in training nor in PSNR.
+images, in the same folders or in none: where one is not black, something moves, and the pixel counts neither in training nor in
+PSNR.
 """
 
 import argparse
@@ -34,10 +35,10 @@ options = parser.parse_args()
 torch.manual_seed(0)
 
 
-def rows_of(name: str) -> list[list[str]]:
-    """Words of every line that is no comment."""
+def rows_of(name: str, words: int = 0) -> list[list[str]]:
+    """Words of every line that is no comment; of so many the last may have spaces."""
     lines = (options.model / name).read_text(encoding="utf-8").splitlines()
-    return [line.split() for line in lines if not line.startswith("#")]
+    return [line.strip().split(maxsplit=words - 1) for line in lines if not line.startswith("#")]
 
 
 # Cameras: width, height, fx, fy, cx, cy. Images: every second line holds points, which nobody needs here.
@@ -49,7 +50,7 @@ for number, kind, *values in filter(None, rows_of("cameras.txt")):
     lenses[number] = numbers if kind == "PINHOLE" else [*numbers[:3], *numbers[2:]]
 View = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]  # image, which pixels count, viewmat, K
 views: list[View] = []
-for _, *pose, lens, name in sorted((row for row in rows_of("images.txt")[::2] if row), key=lambda row: row[-1]):
+for _, *pose, lens, name in sorted((row for row in rows_of("images.txt", 10)[::2] if row), key=lambda row: row[-1]):
     width, height, fx, fy, cx, cy = lenses[lens]
     image = cv2.imread(str(options.images / name))
     if image is None:
@@ -59,13 +60,15 @@ for _, *pose, lens, name in sorted((row for row in rows_of("images.txt")[::2] if
     image = cv2.resize(image[..., ::-1], size, interpolation=cv2.INTER_AREA)
     counts = torch.ones(size[1], size[0], 1)
     if options.masks:
-        moving = cv2.imread(str(options.masks / Path(name).name), cv2.IMREAD_GRAYSCALE)
-        if moving is not None:
+        mask = options.masks / name
+        mask = mask if mask.exists() else options.masks / mask.name
+        if mask.exists() and (moving := cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE)) is not None:
             counts[torch.from_numpy(cv2.resize(moving, size, interpolation=cv2.INTER_NEAREST) > 0)] = 0
     viewmat = torch.eye(4)
     viewmat[:3, :3] = quats_to_rotations(torch.tensor([float(value) for value in pose[:4]]))
     viewmat[:3, 3] = torch.tensor([float(value) for value in pose[4:7]])
-    K = torch.tensor([[factor * fx, 0, factor * cx], [0, factor * fy, factor * cy], [0, 0, 1]])
+    across, down = size[0] / width, size[1] / height  # not factor: the size is rounded
+    K = torch.tensor([[across * fx, 0, across * cx], [0, down * fy, down * cy], [0, 0, 1]])
     views.append((torch.from_numpy(image / np.float32(255)), counts, viewmat, K))
 heldout, training = views[7::8], [view for k, view in enumerate(views) if k % 8 != 7]
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from flowsplat.output.camera_files import write_camera_file
 from flowsplat.output.export.formats.ply import write_ply
 from flowsplat.output.splat_files import read_splats
 from flowsplat.output.videos import RenderOptions
+from flowsplat.output.viewer.export_panel import render_command
 from flowsplat.output.viewer.source import Source
 from flowsplat.pipeline import splat_file
 from flowsplat.splatting import rasterization
@@ -91,27 +94,105 @@ def test_a_camera_file_that_cannot_be_used_is_refused_before_anything_is_drawn(s
     (tmp_path / "path.json").write_text("[]")
     with pytest.raises(InputError, match=r"path\.json cannot be used"):
         splat_file.render_splat_file(file, tmp_path / "out", RenderOptions(paths=(), camera_file=tmp_path / "path.json"))
+    assert not (tmp_path / "out").exists(), "the folder is for another file, too"
 
 
-def test_the_viewer_opens_a_file(small, file, monkeypatch):
-    seen = {}
+def test_a_file_that_differs_in_its_middle_alone_is_another(small, tmp_path):
+    write_ply(tmp_path / "scene.ply", make_still(1000), has_objects=False)
+    splat_file.open_splat_file(tmp_path / "scene.ply", tmp_path / "out")
+    data = bytearray((tmp_path / "scene.ply").read_bytes())
+    assert len(data) > 3 * 2**16
+    data[len(data) // 2] ^= 1
+    (tmp_path / "scene.ply").write_bytes(data)
+    with pytest.raises(InputError, match="belongs to a different input"):
+        splat_file.open_splat_file(tmp_path / "scene.ply", tmp_path / "out")
 
-    def look(folder, options):
-        seen["folder"], seen["source"] = folder, Source(folder)
 
-    monkeypatch.setattr("flowsplat.output.viewer.server.view", look)
+def test_the_viewer_opens_a_file(small, file, tmp_path, monkeypatch):
+    """What is saved while one looks stays, and what it says can be rendered is rendered."""
+    seen = []
+    monkeypatch.setattr("flowsplat.output.viewer.server.view", lambda folder, options: seen.append((folder, Source(folder))))
+    monkeypatch.setattr("flowsplat.output.viewer.server._check_address", lambda *_: None)
+    monkeypatch.chdir(tmp_path)
     main(["view", str(file)])
-    assert len(seen["source"].loaded.part("all").gaussians) == 300
-    assert not seen["folder"].exists()
+    main(["view", str(file), "-o", "other"])
+    assert [folder for folder, _ in seen] == [Path("out/scene"), Path("other")]
+    for folder, source in seen:
+        assert folder.exists()
+        assert source.file == file
+        assert len(source.loaded.part("all").gaussians) == 300
+    saved = folder / "viewer" / "path 1.json"
+    write_camera_file(saved, [(camera.resize(32, 24), t) for t, camera in enumerate(source.scene.cameras[:2])], 12.0)
+    main(shlex.split(render_command(source, saved))[1:])
+    assert [path.name for path in sorted((folder / "renders").glob("*_color.mp4"))] == ["custom_path_path-1_color.mp4"]
 
 
-def test_what_cannot_be_is_refused(small, file, tmp_path):
+@pytest.mark.parametrize("options", [["--port", "0"], ["--largest", "2"], ["--host", "203.0.113.9", "--port", "8099"]])
+def test_the_viewer_draws_nothing_where_it_cannot_serve(file, tmp_path, capsys, monkeypatch, options):
+    monkeypatch.setattr(splat_file.SceneModel, "render", lambda *_: pytest.fail("something is drawn"))
+    refused(capsys, "view", file, "-o", tmp_path / "out", *options)
+    assert not (tmp_path / "out").exists()
+
+
+def refused(capsys, *arguments: object) -> str:
+    """The one line with which a command ends that cannot work."""
+    with pytest.raises(SystemExit) as end:
+        main([*map(str, arguments)])
+    assert end.value.code == 2
+    message = capsys.readouterr().err.strip()
+    assert message.startswith("Error: ")
+    assert "\n" not in message
+    return message
+
+
+def change_ply(path, index, name, value):
+    """Write another number into a .ply of ours: of the Gaussians that ``index`` names."""
+    data = path.read_bytes()
+    begin = data.index(b"end_header\n") + len("end_header\n")
+    names = [line.split()[2] for line in data[:begin].decode().splitlines() if line.startswith("property")]
+    vertices = np.frombuffer(data[begin:], "<f4").reshape(-1, len(names)).copy()
+    columns = [k for k, found in enumerate(names) if found in name]
+    vertices[index, columns] = value(vertices[index][..., columns])
+    path.write_bytes(data[:begin] + vertices.tobytes())
+
+
+MEANS = ("x", "y", "z")
+
+
+@pytest.mark.parametrize("case", ["far", "large"])
+def test_what_the_model_could_not_hold_is_left_out(small, tmp_path, capsys, case):
+    """Within bounds in the units of the file, and beyond them in those of the model."""
+    path = tmp_path / "scene.ply"
+    write_ply(path, make_still(60), has_objects=False)
+    change_ply(path, slice(None), MEANS, lambda values: values * (1e-3 if case == "far" else 1e-8))
+    change_ply(path, slice(7, 8), *((MEANS, lambda _: 1e8) if case == "far" else (("scale_0",), lambda _: 75)))
+    assert len(read_splats(path)) == 60
+    model, _ = splat_file.open_splat_file(path, tmp_path / "out")
+    assert len(model.gaussians) == 59
+    assert "scene.ply: 1 of 60 Gaussians are left out" in " ".join(capsys.readouterr().err.split())
+    assert len(splat_file.open_splat_file(path, tmp_path / "out")[0].gaussians) == 59
+
+
+def test_a_file_that_no_camera_can_see_is_refused(tmp_path):
+    path = tmp_path / "scene.ply"
+    write_ply(path, make_still(20), has_objects=False)
+    change_ply(path, slice(None), MEANS, lambda _: 9e8)
+    with pytest.raises(InputError, match=r"scene\.ply is too far away or too large to be seen \(its middle is at 9e\+08, 9e\+08, "):
+        splat_file.open_splat_file(path, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    change_ply(path, slice(None), MEANS, lambda _: np.arange(60).reshape(20, 3) * 1e-8)
+    change_ply(path, slice(None), ("scale_1",), lambda _: 79)
+    with pytest.raises(InputError, match="holds no Gaussian that can be drawn"):
+        splat_file.open_splat_file(path, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_cannot_be_is_refused(small, file, tmp_path, capsys):
     with pytest.raises(InputError, match="no objects"):
         splat_file.render_splat_file(file, tmp_path / "out", RenderOptions(parts=("objects",)))
-    with pytest.raises(SystemExit):
-        main(["render", str(tmp_path), "-o", str(tmp_path / "out")])
-    with pytest.raises(SystemExit):
-        main(["render", str(tmp_path / "none.ply"), "-o", str(tmp_path / "out")])
+    assert "leave out -o, which is for files" in refused(capsys, "render", tmp_path, "-o", tmp_path / "out")
+    assert "leave out -o, which is for files" in refused(capsys, "view", tmp_path, "-o", tmp_path / "out")
+    assert "none.ply does not exist" in refused(capsys, "render", tmp_path / "none.ply", "-o", tmp_path / "out")
     (tmp_path / "damaged.ply").write_bytes(file.read_bytes()[:-1])
     with pytest.raises(InputError, match="truncated"):
         splat_file.render_splat_file(tmp_path / "damaged.ply", tmp_path / "out", RenderOptions())

@@ -107,8 +107,17 @@ def test_a_mask_may_be_written_into_the_image_of_rasterize(background):
     assert float(leaves["means"].grad.abs().max()) > 0
 
 
-def test_an_image_without_gradient_is_not_copied():
-    values = {name: value.float() for name, value in make(cameras=1).items()}
-    found = [rasterization(**values, width=WIDTH, height=HEIGHT)[0] for _ in range(2)]
-    assert not found[0].requires_grad
-    assert torch.equal(*found)
+def test_an_image_is_copied_only_where_it_has_a_gradient(monkeypatch):
+    copied, clone = [], torch.Tensor.clone
+    monkeypatch.setattr(torch.Tensor, "clone", lambda tensor, **options: copied.append(tensor.shape) or clone(tensor, **options))
+    alone = random_gaussians(30, 3)
+    for make_them in (
+        lambda some: {name: value.float() for name, value in some.items()},
+        lambda some: leaves_of(some, torch.float32),
+    ):
+        copied.clear()
+        image = rasterization(**make_them(make(cameras=1)), width=WIDTH, height=HEIGHT)[0]
+        assert copied.count((HEIGHT, WIDTH, 3)) == image.requires_grad
+        copied.clear()
+        image = rasterize(**make_them(alone), width=50, height=37)[0]
+        assert copied.count((37, 50, 3)) == image.requires_grad

@@ -22,41 +22,63 @@ from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.geometry.cameras import MAX_COORDINATE, rigid
 from flowsplat.images.colors import float_to_bytes
-from flowsplat.output.splat_files import Splats, read_splats
-from flowsplat.output.videos import RenderOptions, render_videos, settle
+from flowsplat.output.splat_files import Splats, read_splats, report_left_out
+from flowsplat.output.videos import RenderOptions, render_videos, settle_clip
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import RunFolder
 from flowsplat.scenes import Scene
-from flowsplat.training.checkpoint import has_model, load_model, save_model
+from flowsplat.training.checkpoint import has_model, is_storable, load_model, save_model
 
-SECONDS, FRAMES = 8.0, 33
-"""Of the clip: how long the cameras take, and how many there are. Chosen by eye."""
+SECONDS, FRAMES, FPS = 8.0, 33, 24.0
+"""Of the clip: how long the cameras take, how many there are, and frames a second of its videos. Chosen by eye."""
 WIDTH, HEIGHT, FIELD_OF_VIEW = 960, 540, 50.0
 """Pixels of the clip, and degrees of its height. Chosen by eye."""
 CIRCLE_RADIUS, CIRCLE_HEIGHT = 2.2, 0.5
 """Of the circle of cameras, in the median distance of the Gaussians from their middle. Chosen by eye."""
 
 
-def make_model(splats: Splats) -> SceneModel:
-    """Return what a file holds as a scene in which nothing moves, of ``SECONDS``."""
+def make_model(splats: Splats, name: str = "The file") -> SceneModel:
+    """Return what a file holds as a scene in which nothing moves, of ``SECONDS``.
+
+    Args:
+        splats: what it holds.
+        name: what it is called in messages.
+
+    Raises:
+        InputError: nothing of it can be drawn.
+    """
     config = ModelConfig(
         mean_poly=0, mean_fourier=0, quat_poly=0, quat_fourier=0, sh_degree=splats.sh_degree, freeze_background=True
     )
     middle, size = _middle_and_size(splats)
     similarity = Similarity(1 / size, np.eye(3), -middle / size)
-    count = len(splats)
-    params = {name: torch.zeros(count, *shape) for name, shape in parameter_shapes(config).items()}
     given = {
         "means": similarity.points(splats.means.astype(np.float64)), "quats": splats.quats,
         "log_scales": splats.log_scales - np.log(size), "logit_opacities": splats.logit_opacities, "sh": splats.sh,
     }  # fmt: skip
-    params |= {name: torch.from_numpy(np.ascontiguousarray(value, np.float32)) for name, value in given.items()}
+    given = {key: np.ascontiguousarray(value, np.float32) for key, value in given.items()}
+    # What was within bounds in the units of the file may be beyond them in those of the model, which nobody could load.
+    usable = np.asarray(is_storable("means", given["means"]).all(1) & is_storable("log_scales", given["log_scales"]).all(1))
+    report_left_out(name, int((~usable).sum()), len(splats))
+    count = int(usable.sum())
+    if count == 0:
+        raise InputError(f"{name} holds no Gaussian that can be drawn.")
+    params = {key: torch.zeros(count, *shape) for key, shape in parameter_shapes(config).items()}
+    params |= {key: torch.from_numpy(value[usable]) for key, value in given.items()}
     gaussians = Gaussians4D(params, torch.zeros(count, dtype=torch.bool), config, splats.sh_degree)
     return SceneModel(gaussians, similarity, 0.0, SECONDS, fill=False)
 
 
-def make_cameras(splats: Splats) -> list[Camera]:
-    """Return ``FRAMES`` cameras once round the middle, a little above it: y points down, as in most such files."""
+def make_cameras(splats: Splats, name: str = "The file") -> list[Camera]:
+    """Return ``FRAMES`` cameras once round the middle, a little above it: y points down, as in most such files.
+
+    Args:
+        splats: what the file holds.
+        name: what it is called in messages.
+
+    Raises:
+        InputError: it is so large, or so far from the origin, that one of them could not look.
+    """
     middle, size = _middle_and_size(splats)
     focal = HEIGHT / 2 / np.tan(np.radians(FIELD_OF_VIEW / 2))
     K = np.array([[focal, 0, WIDTH / 2], [0, focal, HEIGHT / 2], [0, 0, 1]])
@@ -69,6 +91,9 @@ def make_cameras(splats: Splats) -> list[Camera]:
         right /= np.linalg.norm(right)
         R = np.stack([right, np.cross(forward, right), forward])
         cameras.append(Camera(rigid(R, -R @ center), K, WIDTH, HEIGHT))
+    if not all(camera.is_valid for camera in cameras):
+        reach = f"its middle is at {', '.join(f'{value:.3g}' for value in middle)}, and half of it within {size:.3g}"
+        raise InputError(f"{name} is too far away or too large to be seen ({reach}): move it to the origin, or scale it.")
     return cameras
 
 
@@ -95,31 +120,32 @@ def open_splat_file(
         InputError: the file cannot be read, the folder cannot be used, or the options do not fit; before anything is drawn.
     """
     with lease(folder):
-        fingerprint = hash_files("splat file", [(Path(path).name, Path(path))])
-        # Read before anything is written: of a damaged file nothing is left.
-        splats = None if has_model(RunPaths(folder).model_path) else read_splats(path)
-        run = RunFolder.open_or_create(folder, str(path), fingerprint, RunConfig())
-        if splats is not None:
-            _fill(run, Path(path), splats, pick_device(device), options)
-        scene = Scene(run.scene_path)
+        fingerprint = hash_files("splat file", [(Path(path).name, Path(path))], whole=True)
+        # All is looked at before anything is written: of what is refused nothing is left, and the folder is for any file.
         if options is not None:
-            settle(scene, options)
-        return load_model(run.model_path).to(pick_device(device)), scene
+            settle_clip((0.0, SECONDS), FPS, (WIDTH, HEIGHT), options)
+        made = None if has_model(RunPaths(folder).model_path) else _make(Path(path))
+        run = RunFolder.open_or_create(folder, str(path), fingerprint, RunConfig())
+        if made is not None:
+            _fill(run, Path(path), *made, pick_device(device))
+        return load_model(run.model_path).to(pick_device(device)), Scene(run.scene_path)
 
 
-def _fill(run: RunFolder, path: Path, splats: Splats, device: torch.device, options: RenderOptions | None) -> None:
+def _make(path: Path) -> tuple[SceneModel, list[Camera]]:
+    splats = read_splats(path)
+    return make_model(splats, path.name), make_cameras(splats, str(path))
+
+
+def _fill(run: RunFolder, path: Path, model: SceneModel, cameras: list[Camera], device: torch.device) -> None:
     """Write the scene and, last of all, the model."""
-    model, cameras = make_model(splats), make_cameras(splats)
     scene = Scene.create(
         run.scene_path, name=path.stem, source=str(path), width=WIDTH, height=HEIGHT,
-        timestamps=np.linspace(0, SECONDS, FRAMES).tolist(), holdout=None, source_fps=24.0,
+        timestamps=np.linspace(0, SECONDS, FRAMES).tolist(), holdout=None, source_fps=FPS,
         notes=["Static Gaussians of a file: what its frames show was drawn and not filmed."],
     )  # fmt: skip
-    if options is not None:
-        settle(scene, options)
     scene.write_cameras(cameras)
     scene.write_similarity(model.similarity)
-    report(f"{path}: {len(splats):,} Gaussians with harmonics of degree {splats.sh_degree}.")
+    report(f"{path}: {len(model.gaussians):,} Gaussians with harmonics of degree {model.gaussians.sh_degree}.")
     drawn = model.to(device)
     for i, camera in track(list(enumerate(cameras)), "Rendering frames"):
         scene.write_frame(i, float_to_bytes(drawn.render(camera, scene.timestamps[i]).color))

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import torch
 from msgspec import Meta
 from safetensors import SafetensorError, safe_open
@@ -198,7 +199,7 @@ def check_model(path: Path, gaussians: Gaussians4D) -> None:
         values = gaussians.params[name]
         if values.shape != (count, *shape) or values.dtype != torch.float32:
             raise InputError(f"{path} is damaged: {name} is {values.dtype} {tuple(values.shape)}, expected {(count, *shape)}.")
-        _check_finite(path, name, values, _MAX_LOG if name.startswith("log_") else MAX_COORDINATE)
+        _check_finite(path, name, values, _most(name))
     for name, values in gaussians.shared.items():  # their shapes are those of the model, or they were not Gaussians
         if values.dtype != torch.float32:
             raise InputError(f"{path} is damaged: {name} is {values.dtype}, expected torch.float32.")
@@ -211,6 +212,16 @@ def check_model(path: Path, gaussians: Gaussians4D) -> None:
     shadow_free = gaussians.shadow_free
     if shadow_free is not None and (shadow_free.dtype != torch.float32 or not bool((shadow_free.abs() <= _MAX_LOG).all())):
         raise InputError(f"{path} is damaged: how bright a Gaussian is without shadows is no number, or beyond {_MAX_LOG:g}.")
+
+
+def is_storable(name: str, values: np.ndarray) -> np.ndarray:
+    """Return which values of a parameter a model may hold (``check_model``)."""
+    return (values <= _most(name)) & (values >= -MAX_COORDINATE)  # not for NaN
+
+
+def _most(name: str) -> float:
+    """Return what the values of a parameter are at most."""
+    return _MAX_LOG if name.startswith("log_") else MAX_COORDINATE
 
 
 def _check_finite(path: Path, name: str, values: Tensor, most: float) -> None:

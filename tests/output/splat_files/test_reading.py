@@ -19,6 +19,7 @@ from flowsplat.output.export.still import FLIP_AXES, Still, rotate_harmonics
 from flowsplat.output.splat_files import is_splat_file, read_splats
 from flowsplat.output.splat_files.ply import MAX_HEADER_BYTES
 from flowsplat.output.splat_files.splats import MAX_GAUSSIANS
+from flowsplat.splatting.rules import C0
 
 
 def make_still(count: int = 50, degree: int = 3) -> Still:
@@ -120,6 +121,17 @@ def test_properties_may_come_in_any_order_and_type(tmp_path, form, order):
     np.testing.assert_allclose(found.log_scales, [[-3, -3, -4]])
 
 
+@pytest.mark.parametrize(("form", "order"), [("binary_little_endian", "<"), ("binary_big_endian", ">")])
+def test_the_format_of_a_ply_may_stand_behind_its_properties(tmp_path, form, order):
+    lines = ply(*FLOATS, form=form).decode().splitlines()
+    lines.insert(-1, lines.pop(1))
+    assert lines[-2].startswith("format")
+    (tmp_path / "a.ply").write_bytes("\n".join([*lines, ""]).encode() + np.array(VALUES, f"{order}f4").tobytes())
+    found = read_splats(tmp_path / "a.ply")
+    np.testing.assert_allclose(found.means, [[0.5, 1, 2]])
+    np.testing.assert_allclose(found.log_scales, [[-3, -3, -4]])
+
+
 def test_a_ply_of_another_writer_is_read(tmp_path):
     plyfile = pytest.importorskip("plyfile", reason="plyfile is not installed")
     vertices = np.zeros(4, [(name, "f4") for name in (*NAMES, *(f"f_rest_{k}" for k in range(9)))])
@@ -145,6 +157,17 @@ def test_harmonics_beyond_degree_3_are_left_out(tmp_path):
     assert found.sh.shape == (1, 16, 3)
     assert found.sh[0, 1].tolist() == [0, 24, 48]
     assert found.sh[0, 15].tolist() == [14, 38, 62]
+
+
+def test_an_spz_of_degree_4_is_read_up_to_degree_3(tmp_path):
+    rest = np.arange(24 * 3, dtype=np.uint8) + 100
+    packed = bytes(9) + bytes([255, 128, 128, 128, 160, 112, 96]) + bytes([0, 0, 0, 192])
+    for name, degree, size in (("a.spz", 4, 72), ("b.spz", 3, 45)):
+        header = struct.pack("<IIIBBBB", MAGIC, 3, 1, degree, 12, 0, 0)
+        (tmp_path / name).write_bytes(gzip.compress(header + packed + rest.tobytes()[:size]))
+    found = read_splats(tmp_path / "a.spz")
+    assert found.sh.shape == (1, 16, 3)
+    np.testing.assert_allclose(found.sh, read_splats(tmp_path / "b.spz").sh, atol=1e-6)
 
 
 def test_what_cannot_be_drawn_is_left_out_and_counted(tmp_path, capsys):
@@ -190,7 +213,7 @@ HUGE = struct.pack("<IIIBBBB", MAGIC, 3, MAX_GAUSSIANS + 1, 0, 12, 0, 0)
         ("a.spz", gzip.compress(b"x" * 100), "first four bytes"),
         ("a.spz", gzip.compress(HUGE), "at most 10,000,000"),
         ("a.spz", gzip.compress(struct.pack("<IIIBBBB", MAGIC, 1, 1, 0, 12, 0, 0)), "version 1"),
-        ("a.spz", gzip.compress(struct.pack("<IIIBBBB", MAGIC, 3, 1, 4, 12, 0, 0)), "degree 4"),
+        ("a.spz", gzip.compress(struct.pack("<IIIBBBB", MAGIC, 3, 1, 5, 12, 0, 0)), "degree 5"),
         ("a.spz", gzip.compress(struct.pack("<IIIBBBB", MAGIC, 3, 1, 0, 99, 0, 0)), "99 bits"),
         ("a.spz", gzip.compress(struct.pack("<IIIBBBB", MAGIC, 3, 9, 0, 12, 0, 0) + b"x" * 50), "truncated"),
         ("a.txt", b"ply", "none of .ply, .splat, .spz"),
@@ -203,14 +226,46 @@ def test_what_cannot_be_read_is_refused(tmp_path, name, data, said):
         read_splats(tmp_path / name)
 
 
-def test_a_bomb_is_not_unpacked(tmp_path):
-    """A gigabyte of zeros behind a header that needs 20 bytes: no more than those are unpacked."""
+class CountingUnpacker:
+    """What zlib unpacks with, and how many bytes have come out of it."""
+
+    unpacked = 0
+
+    def __init__(self, wbits):
+        self._own = DECOMPRESSOR(wbits)
+
+    def __getattr__(self, name):
+        return getattr(self._own, name)
+
+    def decompress(self, *arguments):
+        data = self._own.decompress(*arguments)
+        CountingUnpacker.unpacked += len(data)
+        return data
+
+
+DECOMPRESSOR = zlib.decompressobj
+
+
+def test_a_bomb_is_not_unpacked(tmp_path, monkeypatch):
+    """Millions of zeros behind a header that needs 20 bytes: no more than those are unpacked."""
     header = struct.pack("<IIIBBBB", MAGIC, 3, 1, 0, 12, 0, 0)
-    packer = zlib.compressobj(9, wbits=31)
-    data = packer.compress(header) + b"".join(packer.compress(bytes(2**24)) for _ in range(64)) + packer.flush()
-    assert len(data) < 2**21
-    (tmp_path / "a.spz").write_bytes(data)
+    (tmp_path / "a.spz").write_bytes(gzip.compress(header + bytes(2**24)))
+    monkeypatch.setattr(CountingUnpacker, "unpacked", 0)
+    monkeypatch.setattr(zlib, "decompressobj", CountingUnpacker)
     assert len(read_splats(tmp_path / "a.spz")) == 1
+    assert CountingUnpacker.unpacked == len(header) + 20
+
+
+@pytest.mark.parametrize(("count", "degree"), [(200_000, 3), (MAX_GAUSSIANS, 0)])
+def test_a_small_file_cannot_name_many_gaussians(tmp_path, monkeypatch, count, degree):
+    """Zeros are packed a thousandfold, and all that is named would be there; nothing of it is unpacked."""
+    header = struct.pack("<IIIBBBB", MAGIC, 3, count, degree, 12, 0, 0)
+    (tmp_path / "a.spz").write_bytes(gzip.compress(header + bytes(2**22)))
+    monkeypatch.setattr(CountingUnpacker, "unpacked", 0)
+    monkeypatch.setattr(zlib, "decompressobj", CountingUnpacker)
+    with pytest.raises(InputError, match=rf"damaged: it names {count:,} Gaussians, [\d,]+ bytes, and has [\d,]+ packed ones"):
+        read_splats(tmp_path / "a.spz")
+    assert CountingUnpacker.unpacked == len(header)
 
 
 def test_missing_files_and_folders(tmp_path):
@@ -222,5 +277,28 @@ def test_missing_files_and_folders(tmp_path):
             read_splats(tmp_path / name)
 
 
-def test_records_are_those_of_the_writer():
-    assert RECORD.itemsize == 32
+@pytest.mark.parametrize("name", ["a.ply", "a.splat", "a.spz"])
+def test_a_file_that_the_disk_does_not_give_is_refused(tmp_path, monkeypatch, name):
+    def fail(*_, **__):
+        raise OSError(5, "Input/output error")
+
+    (tmp_path / name).write_bytes(ply(*FLOATS, body=GOOD) if name == "a.ply" else bytes(32))
+    if name == "a.spz":
+        monkeypatch.setattr("builtins.open", fail)
+    else:
+        monkeypatch.setattr(np, "fromfile", fail)
+    with pytest.raises(InputError, match=rf"{name} cannot be read: Input/output error\.$"):
+        read_splats(tmp_path / name)
+
+
+def test_a_splat_is_read_byte_by_byte(tmp_path):
+    """One Gaussian as the format prescribes it, which is what our writer has, too."""
+    data = struct.pack("<6f8B", 1, -2, 0.5, 1, np.exp(-3), np.exp(-4), 255, 0, 128, 128, 128, 0, 128, 192)
+    assert RECORD.itemsize == len(data)
+    (tmp_path / "a.splat").write_bytes(data)
+    found = read_splats(tmp_path / "a.splat")
+    np.testing.assert_allclose(found.means, [[1, -2, 0.5]])
+    np.testing.assert_allclose(found.log_scales, [[0, -3, -4]], atol=1e-6)
+    np.testing.assert_allclose(found.quats, [[0, -1, 0, 0.5]])
+    np.testing.assert_allclose(0.5 + C0 * found.sh[0, 0], [1, 0, 128 / 255], atol=1e-6)
+    np.testing.assert_allclose(1 / (1 + np.exp(-found.logit_opacities)), 128 / 255, atol=1e-6)

@@ -131,7 +131,10 @@ def hash_files(start: str, files: Iterable[tuple[str, Path]], whole: bool = Fals
         try:
             digest.update(f"\n{name} {size} ".encode())
             with open(file, "rb") as opened:
-                digest.update(opened.read(size if whole else _HASHED_EDGE_BYTES))
+                left = size if whole else _HASHED_EDGE_BYTES
+                while left > 0 and (data := opened.read(min(left, _HASHED_EDGE_BYTES))):  # a whole one may be gigabytes
+                    digest.update(data)
+                    left -= len(data)
                 opened.seek(max(size - _HASHED_EDGE_BYTES, 0))
                 digest.update(opened.read(_HASHED_EDGE_BYTES))
         except OSError as error:

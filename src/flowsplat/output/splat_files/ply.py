@@ -93,7 +93,7 @@ def _parse_header(path: Path, text: str) -> tuple[int, np.dtype[Any]]:
         elif words[0] == "property" and is_vertex:
             if len(words) != 3 or words[1] not in _TYPES:
                 raise InputError(f"{path} is damaged, or no PLY of Gaussians: {line.strip():.80} is no property of a vertex.")
-            fields.append((words[2], order + _TYPES[words[1]]))
+            fields.append((words[2], _TYPES[words[1]]))
         elif words[0] not in ("element", "property", "format"):
             raise InputError(f"{path} is damaged: {line.strip():.80} is no line of a PLY header.")
     names = [name for name, _ in fields]
@@ -106,7 +106,7 @@ def _parse_header(path: Path, text: str) -> tuple[int, np.dtype[Any]]:
     rest = [name for name in names if name.startswith("f_rest_")]
     if len(rest) % 3 or set(rest) != {f"f_rest_{k}" for k in range(len(rest))} or _degree(len(rest)) < 0:
         raise InputError(f"{path} has {len(rest)} properties f_rest_: 0, 9, 24, 45 or 72 make whole degrees of harmonics.")
-    record = np.dtype(fields)
+    record = np.dtype([(name, order + kind) for name, kind in fields])  # the format may stand after the properties
     if record.itemsize > MAX_RECORD_BYTES:
         raise InputError(f"{path} has {record.itemsize:,} bytes a Gaussian: at most {MAX_RECORD_BYTES:,} can be read.")
     return count, record

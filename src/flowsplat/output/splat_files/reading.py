@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from flowsplat.common.errors import InputError
+from flowsplat.common.errors import InputError, first_line
 from flowsplat.common.progress import report
 from flowsplat.output.splat_files.ply import read_ply
 from flowsplat.output.splat_files.splat import read_splat
@@ -29,7 +29,8 @@ def read_splats(path: str | Path) -> Splats:
         path: of a ``.ply``, ``.splat`` or ``.spz``.
 
     Returns:
-        all that can be drawn; how many cannot, because a value is not finite or beyond what float32 squares, is reported.
+        all that can be drawn; how many cannot, because a value is not finite or beyond what float32 squares, or because their
+        rotation is none, is reported.
 
     Raises:
         InputError: it is missing, damaged or truncated, too large, of another kind, or holds nothing that can be drawn.
@@ -41,9 +42,17 @@ def read_splats(path: str | Path) -> Splats:
         found = _READERS[path.suffix.lower()](path)
     except MemoryError as error:
         raise InputError(f"There is not enough memory to read {path}.") from error
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or first_line(error)}.") from error
     usable = found.keep_usable()
     if len(usable) == 0:
         raise InputError(f"{path} holds no Gaussian that can be drawn.")
-    if len(usable) < len(found):
-        report(f"{path.name}: {len(found) - len(usable):,} of {len(found):,} Gaussians are left out, whose values are not finite.")
+    report_left_out(path.name, len(found) - len(usable), len(found))
     return usable
+
+
+def report_left_out(name: str, left_out: int, count: int) -> None:
+    """Say how many Gaussians of a file cannot be drawn, if there are some."""
+    if left_out:
+        reason = "a value is not finite or too large, or their rotation is none"
+        report(f"{name}: {left_out:,} of {count:,} Gaussians are left out: {reason}.")

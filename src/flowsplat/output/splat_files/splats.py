@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -57,7 +57,11 @@ class Splats:
                 inside = (values >= low) & (values <= high)  # not for NaN
                 usable &= inside.all(axis=tuple(range(1, values.ndim)))
             usable &= (self.quats != 0).any(1)
-        return Splats(self.means[usable], self.quats[usable], self.log_scales[usable], logits[usable], self.sh[usable])
+        return replace(self, logit_opacities=logits).select(usable)
+
+    def select(self, which: np.ndarray) -> Splats:
+        """Return those that ``which`` [N] names."""
+        return Splats(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
 def to_float32(values: Any) -> np.ndarray:

@@ -25,6 +25,10 @@ from flowsplat.splatting.harmonics import harmonics_count
 _HEADER = struct.Struct("<IIIBBBB")
 """Magic number, version, Gaussians, degree, bits behind the point, flags, nothing."""
 _VERSIONS = (2, 3)
+_MAX_FILE_DEGREE = 4
+"""Of the harmonics in a file."""
+_MAX_RATIO = 50
+"""Bytes unpacked for one of the file: real files have less than 2, nothing but zeros 1,000."""
 _MAX_FRACTION_BITS = 23
 """Bits behind the point of a position of 24, at most."""
 _HALF_TURN = torch.tensor([0.0, 1, 0, 0])
@@ -35,9 +39,10 @@ def read_spz(path: Path) -> Splats:
     """Read a file.
 
     Raises:
-        InputError: it is missing, no such file, truncated, of another version, or has more Gaussians than can be read.
+        InputError: it is missing, no such file, truncated, of another version, or has more Gaussians than can be read or than a
+            file of its size can hold.
     """
-    ordinary_file(path, MAX_GAUSSIANS * bytes_per_gaussian(harmonics_count(MAX_DEGREE)))
+    size = ordinary_file(path, MAX_GAUSSIANS * bytes_per_gaussian(harmonics_count(_MAX_FILE_DEGREE)))
     with open(path, "rb") as file:
         unpacker = _Unpacker(path, file)
         magic, version, count, degree, fraction_bits, _, _ = _HEADER.unpack(unpacker.read(_HEADER.size))
@@ -47,15 +52,18 @@ def read_spz(path: Path) -> Splats:
             raise InputError(f"{path} is of version {version} of spz: only 2 and 3 can be read.")
         if count > MAX_GAUSSIANS:
             raise InputError(f"{path} has {count:,} Gaussians: at most {MAX_GAUSSIANS:,} can be read.")
-        if degree > MAX_DEGREE or fraction_bits > _MAX_FRACTION_BITS:
+        if degree > _MAX_FILE_DEGREE or fraction_bits > _MAX_FRACTION_BITS:
             raise InputError(f"{path} is damaged: it names degree {degree} and {fraction_bits} bits behind the point.")
-        harmonics = harmonics_count(degree)
+        harmonics, kept = harmonics_count(degree), harmonics_count(min(degree, MAX_DEGREE))
+        needed = count * bytes_per_gaussian(harmonics)
+        if needed > _MAX_RATIO * size:  # looked at before room is made for them
+            raise InputError(f"{path} is damaged: it names {count:,} Gaussians, {needed:,} bytes, and has {size:,} packed ones.")
         means = _from_fixed_point(unpacker.read_bytes(count, 3, 3), fraction_bits)
         alphas = unpacker.read_bytes(count).astype(np.float32) / 255
         colors = (unpacker.read_bytes(count, 3).astype(np.float32) / 255 - 0.5) / COLOR_SCALE
         log_scales = unpacker.read_bytes(count, 3).astype(np.float32) / 16 - 10
         quats = _from_three_bytes(unpacker.read_bytes(count, 3)) if version == 2 else _from_largest(unpacker.read_bytes(count, 4))
-        rest = (unpacker.read_bytes(count, harmonics - 1, 3).astype(np.float32) - 128) / 128
+        rest = (unpacker.read_bytes(count, harmonics - 1, 3)[:, : kept - 1].astype(np.float32) - 128) / 128
     sh = rotate_harmonics(torch.from_numpy(np.concatenate([colors[:, None], rest], 1)), FLIP_AXES.double())
     turned = multiply_quats(_HALF_TURN.expand(count, 4), torch.from_numpy(quats))
     with np.errstate(divide="ignore"):

@@ -19,12 +19,13 @@ from flowsplat.common.files import plain_name, read_json, write_json
 from flowsplat.common.files.json_file import Count, Positive, Text
 from flowsplat.gaussians.renderer import PartedRenderer
 from flowsplat.output.videos.options import RenderOptions, factors_of
-from flowsplat.output.videos.plans import VideoPlan, name_of, plan_videos, settle
+from flowsplat.output.videos.plans import VideoPlan, name_of, plan_videos, settle, settle_clip
 from flowsplat.output.videos.writing import Scales, write_plan
 from flowsplat.scenes import Scene
 
 __all__ = [
     "RenderOptions", "are_rendered", "forget_videos", "list_frame_rates", "list_rendered", "name_of", "render_videos", "settle",
+    "settle_clip",
 ]  # fmt: skip
 
 _RECORD = "renders.json"

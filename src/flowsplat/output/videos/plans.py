@@ -101,12 +101,29 @@ def settle(scene: Scene, options: RenderOptions) -> tuple[float, tuple[int, int]
     Raises:
         InputError: an option or the camera file cannot be used.
     """
-    first, last = float(scene.timestamps[0]), float(scene.timestamps[-1])
-    fps = min(max(float(scene.info.source_fps), MIN_FPS), MAX_FPS) if options.fps is None else options.fps
-    check_options(options, fps, first, last)
-    width = scene.width if options.width is None else options.width
-    size = (width, max(round(scene.height * width / scene.width), 1))
-    return fps, size, None if options.camera_file is None else read_camera_file(options.camera_file, size, (first, last))
+    clip = float(scene.timestamps[0]), float(scene.timestamps[-1])
+    return settle_clip(clip, float(scene.info.source_fps), (scene.width, scene.height), options)
+
+
+def settle_clip(
+    clip: tuple[float, float], source_fps: float, size: tuple[int, int], options: RenderOptions
+) -> tuple[float, tuple[int, int], CameraShots | None]:
+    """Do what ``settle`` does for a clip that is not there yet.
+
+    Args:
+        clip: seconds of its first and its last frame.
+        source_fps: its frames a second.
+        size: (width, height) in pixels.
+        options: of the videos.
+
+    Raises:
+        InputError: an option or the camera file cannot be used.
+    """
+    fps = min(max(source_fps, MIN_FPS), MAX_FPS) if options.fps is None else options.fps
+    check_options(options, fps, *clip)
+    width = size[0] if options.width is None else options.width
+    size = (width, max(round(size[1] * width / size[0]), 1))
+    return fps, size, None if options.camera_file is None else read_camera_file(options.camera_file, size, clip)
 
 
 def _versions(plan: VideoPlan, part: Part, scene: Scene, options: RenderOptions) -> Iterator[VideoPlan]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import tempfile
 import time
 from collections.abc import Iterator
@@ -33,6 +34,13 @@ _JPEG_QUALITY = 75
 """Of the JPEGs of a path that is played. Chosen by eye."""
 _READY_HINT = "The paths that flowsplat render knows, at the speed set above; where time stands still, at this moment of the clip. "
 _RECORDINGS_HINT = "mp4 and gif: what is shown, for two eyes if so set. webm: what moves, on transparent."
+
+
+def render_command(source: Source, path: Path) -> str:
+    """Return the command that renders a camera file: a run beside its other videos, a file of static Gaussians it alone."""
+    of = [source.folder] if source.file is None else [source.file, "-o", source.folder]
+    alone = [] if source.file is None else ["--render.paths"]
+    return shlex.join(map(str, ["flowsplat", "render", *of, "--render.camera-file", path, *alone]))
 
 
 class ExportPanel:
@@ -188,11 +196,9 @@ class ExportPanel:
         write_camera_file(path, shots, self._fps)
         self._finish(path)
         distances = [f"{number}={factor:g}" for number, factor in self._session.look.distances]
-        options = f"--render.camera-file {path}" + "".join(
-            f" {word}" for word in ("--render.object-depth", *distances) if distances
-        )
+        options = "".join(f" {word}" for word in ("--render.object-depth", *distances) if distances)
         options += " --render.confidence-fade" if self._session.look.confidence_fade else ""
-        self._notifications.show("Render it", f"flowsplat render {self._source.folder} {options}")
+        self._notifications.show("Render it", render_command(self._source, path) + options)
 
     def _load_path(self) -> None:
         name, content = plain_name(self._load.value.name, "The file"), self._load.value.content

@@ -35,14 +35,7 @@ class Viewer:
             InputError: viser is missing, the run has nothing to show yet, the device does not work, or the address cannot be
                 listened on.
         """
-        if not 1 <= options.port <= 65535:
-            raise InputError(f"There is no port {options.port}: give --port a number from 1 to 65535.")
-        if not 64 <= options.largest <= 8192:
-            raise InputError(f"Images of {options.largest} pixels cannot be shown: give --largest from 64 to 8192.")
-        try:
-            import viser  # noqa: F401 (the one thing that may be missing)
-        except ImportError as error:
-            raise InputError(f"The viewer needs viser: {describe_install('view')}.") from error
+        _check_options(options)
         self._options = options
         self.source = Source(folder, pick_device(options.device))
         _check_address(options.host, options.port)
@@ -90,6 +83,17 @@ class Viewer:
                 self._begin_anew(panel)
 
 
+def check_serving(options: ViewOptions) -> None:
+    """Refuse what the viewer could not serve with, before anything is made that it would show.
+
+    Raises:
+        InputError: an option cannot be used, viser is missing, the device does not work, or the address cannot be listened on.
+    """
+    _check_options(options)
+    _check_address(options.host, options.port)
+    pick_device(options.device)
+
+
 def view(folder: Path, options: ViewOptions) -> None:
     """Serve the viewer of a run until Ctrl-C.
 
@@ -100,9 +104,9 @@ def view(folder: Path, options: ViewOptions) -> None:
     try:
         shown = "localhost" if options.host in LOOPBACK | WILDCARDS else options.host
         shown = f"[{shown}]" if ":" in shown else shown
-        report(
-            f"Showing {folder} ({viewer.source.loaded.state}): http://{shown}:{options.port}{viewer.guard.query} - Ctrl-C stops."
-        )
+        source = viewer.source
+        what = f"{folder} ({source.loaded.state})" if source.file is None else f"{source.file} (what is saved goes into {folder})"
+        report(f"Showing {what}: http://{shown}:{options.port}{viewer.guard.query} - Ctrl-C stops.")
         if viewer.guard.token is not None:
             report("Every computer that reaches this one can open the viewer, with this whole address; it is new each time.")
         threading.Event().wait()
@@ -115,6 +119,18 @@ def view(folder: Path, options: ViewOptions) -> None:
 def _quiet() -> contextlib.AbstractContextManager[object]:
     """Without what viser prints: its address may not be the one to open, and we say ourselves what happens."""
     return contextlib.redirect_stdout(io.StringIO())
+
+
+def _check_options(options: ViewOptions) -> None:
+    """Refuse options that nothing could be served with, and a machine without viser."""
+    if not 1 <= options.port <= 65535:
+        raise InputError(f"There is no port {options.port}: give --port a number from 1 to 65535.")
+    if not 64 <= options.largest <= 8192:
+        raise InputError(f"Images of {options.largest} pixels cannot be shown: give --largest from 64 to 8192.")
+    try:
+        import viser  # noqa: F401 (the one thing that may be missing)
+    except ImportError as error:
+        raise InputError(f"The viewer needs viser: {describe_install('view')}.") from error
 
 
 def _check_address(host: str, port: int) -> None:

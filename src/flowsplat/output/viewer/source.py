@@ -21,6 +21,7 @@ from flowsplat.gaussians.distances import Distances
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.renderer import Part
 from flowsplat.geometry.paths import CameraPath
+from flowsplat.output.splat_files import is_splat_file
 from flowsplat.output.videos.writing import Scales
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import Tracks
@@ -126,6 +127,12 @@ class Source:
         focal = float(scene.cameras[scene.train_frames[0]].K[0, 0])
         model, step, steps = load_checkpoint(self._run.training_path, scene.similarity, first, last, focal)
         return model, f"in training, step {step} of {steps}"
+
+    @property
+    def file(self) -> Path | None:
+        """The file of static Gaussians that the folder was made of; None = it is a run of a clip."""
+        path = Path(self.scene.info.source)
+        return path if is_splat_file(path) else None
 
     @property
     def clip(self) -> tuple[float, float]:
