@@ -94,7 +94,8 @@ class _Buffer:
 def _build(model: SceneModel, scene: Scene, seconds: float) -> tuple[dict[str, Any], bytes]:
     """Return the document and its binary data."""
     still, buffer = still_at(model, seconds, flip_axes=True), _Buffer()
-    meshes, nodes = [], []
+    meshes: list[dict[str, Any]] = []
+    nodes: list[dict[str, Any]] = []
     for number in np.unique(still.object_ids.numpy()).tolist():
         name = f"object {number}" if number else "background"
         rows = torch.nonzero(still.object_ids == number).squeeze(1)
@@ -118,7 +119,8 @@ def _build(model: SceneModel, scene: Scene, seconds: float) -> tuple[dict[str, A
         quats[k] *= -1 if quats[k] @ quats[k - 1] < 0 else 1
     nodes.append({"name": "camera", "camera": 0, "translation": places[0].tolist(), "rotation": quats[0].tolist()})
     times = buffer.add(scene.timestamps - model.first, is_vertex=False, has_range=True)
-    channels, samplers = [], []
+    channels: list[dict[str, Any]] = []
+    samplers: list[dict[str, Any]] = []
     for path, values in (("translation", places), ("rotation", quats)):
         channels.append({"sampler": len(samplers), "target": {"node": len(nodes) - 1, "path": path}})
         samplers.append({"input": times, "output": buffer.add(values, is_vertex=False), "interpolation": "LINEAR"})
