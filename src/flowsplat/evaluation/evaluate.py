@@ -127,6 +127,14 @@ def _summarize_baselines(images: Sequence[Figures], names: Sequence[str], region
     return figures if any(figures.values()) else None
 
 
+def find_heldout_mask(scene: Scene, i: int) -> np.ndarray | None:
+    """Return [H, W] bool what moves in a held-out frame: as given or, where it is not, as it truly is; None = not known."""
+    for layers in (scene.heldout_masks, scene.truth):
+        if layers is not None and layers.has_mask(i):
+            return layers.mask(i) > 0
+    return None
+
+
 class _Evaluator:
     """Renders and scores one image after the other."""
 
@@ -149,8 +157,7 @@ class _Evaluator:
         """Render, write and score a held-out frame with the camera that the camera stage found for it."""
         scene = self._scene
         camera, target = scene.cameras[i], to_float(scene.heldout_frame(i))
-        known = [layers for layers in (scene.heldout_masks, scene.truth) if layers is not None and layers.has_mask(i)]
-        regions = {"moving": known[0].mask(i) > 0 if known else None}
+        regions = {"moving": find_heldout_mask(scene, i)}
         what = {"kind": "heldout_frame", "name": f"{i:05d}", "frame": i}
         figures = self._heldout_image(what, "heldout", camera, target, regions)
         if self._refine is not None:

@@ -14,6 +14,7 @@ import torch
 from flowsplat.common.files import read_json, write_json
 from flowsplat.common.progress import report
 from flowsplat.evaluation.baselines import to_float
+from flowsplat.evaluation.evaluate import find_heldout_mask
 from flowsplat.evaluation.perceptual import lpips_metric
 from flowsplat.evaluation.placement import view_camera
 from flowsplat.evaluation.scores import Figures, score_image, summarize
@@ -90,7 +91,7 @@ def score_field(field: Field, scene: Scene, path: Path, key: str) -> dict[str, A
     else:
         for i in scene.heldout_frames:
             if f"{i:05d}" not in known:
-                score(f"{i:05d}", scene.cameras[i], i, to_float(scene.heldout_frame(i)), _find_mask(scene, i))
+                score(f"{i:05d}", scene.cameras[i], i, to_float(scene.heldout_frame(i)), find_heldout_mask(scene, i))
     images: list[Figures] = list(known.values())
     return {
         "kind": kind,
@@ -98,11 +99,3 @@ def score_field(field: Field, scene: Scene, path: Path, key: str) -> dict[str, A
         "image_seconds": statistics.median(image["seconds"] for image in images) if images else None,
         "seconds": sum(image["seconds"] for image in images),
     }
-
-
-def _find_mask(scene: Scene, i: int) -> np.ndarray | None:
-    """Return [H, W] bool what moves in a held-out frame, where that is known."""
-    for layers in (scene.heldout_masks, scene.truth):
-        if layers is not None and layers.has_mask(i):
-            return layers.mask(i) > 0
-    return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, cast
@@ -122,7 +123,7 @@ class Template(nn.Module):
         return density, torch.sigmoid(self.color(branch))
 
 
-class Field(nn.Module):
+class Field(nn.Module, ABC):
     """A radiance field that changes in time, with a coarse and a fine template.
 
     Attributes:
@@ -135,9 +136,9 @@ class Field(nn.Module):
         self.config, self.progress = config, 1.0
         self.coarse, self.fine = (Template(inputs, config, generator) for _ in range(2))
 
+    @abstractmethod
     def place(self, points: Tensor, times: Tensor) -> Tensor:
         """Return what the templates are asked for, [N, S, inputs], of points [N, S, 3] at times [N] between 0 and 1."""
-        raise NotImplementedError
 
     def forward(self, points: Tensor, views: Tensor, times: Tensor, fine: bool) -> tuple[Tensor, Tensor]:
         """Return density [N, S] per median depth and color [N, S, 3] between 0 and 1.

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from flowsplat.evaluation.evaluate import find_heldout_mask
 from flowsplat.evaluation.placement import view_camera
 from flowsplat.evaluation.scores import score_image
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
@@ -61,10 +62,9 @@ class HeldoutImages:
                 target, mask = scene.view_image(view), scene.view_mask(view)
                 self._tests.append((view_camera(scene, view), float(scene.timestamps[view.frame]), target, mask))
         else:
-            masks = scene.heldout_masks
             for i in scene.heldout_frames[:: -(-len(scene.heldout_frames) // most)]:
-                mask = masks.mask(i) > 0 if masks.has_mask(i) else None
-                self._tests.append((scene.cameras[i], float(scene.timestamps[i]), scene.heldout_frame(i), mask))
+                frame, mask = scene.heldout_frame(i), find_heldout_mask(scene, i)
+                self._tests.append((scene.cameras[i], float(scene.timestamps[i]), frame, mask))
 
     def psnr(self, gaussians: Gaussians4D, config: TrainConfig) -> dict[str, float]:
         """dB of all of the image, and inside the masks of what moves; means over the images."""

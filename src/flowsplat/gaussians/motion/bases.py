@@ -60,9 +60,11 @@ class BasesMotion(SharedMotion):
     ) -> dict[str, Tensor]:  # fmt: skip
         """See ``MotionModel``: Gaussians that are near each other and move alike have the same basis most."""
         common = super().start(means, times, quats, scales, log_lambdas, coefficients)
-        if coefficients.shape[1] == 0 or len(means) == 0:
+        if len(means) == 0:
             return common
-        return {**common, "basis_logits": _group(means, coefficients[:, 0], self.bases)}
+        # Where no path is known, places alone: with one blend for all, bases that begin alike would stay alike.
+        velocities = coefficients[:, 0] if coefficients.shape[1] else torch.zeros_like(means)
+        return {**common, "basis_logits": _group(means, velocities, self.bases)}
 
     def state(self, params: Params, t: float | Tensor) -> MotionState:
         """See ``MotionModel``."""
@@ -90,13 +92,6 @@ class BasesMotion(SharedMotion):
         each = (weights @ together.transpose(0, 1).flatten(1)).unflatten(1, (self.bases, 7))
         return torch.bmm(blend[:, None], each)[:, 0]
 
-    def recenter(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
-        """See ``MotionModel``."""
-        times = params["times"] + shift
-        moved = self.state(params, times)
-        assert moved.quats is not None
-        return {**params, "means": moved.means, "quats": moved.quats, "times": times}
-
 
 def _conjugate(quats: Tensor) -> Tensor:
     return quats * quats.new_tensor([1.0, -1.0, -1.0, -1.0])
@@ -114,7 +109,7 @@ def _group(means: Tensor, velocities: Tensor, count: int) -> Tensor:
         held = members.sum(0)[:, None]
         centers = torch.where(held > 0, members.T @ features / held.clamp(min=1), centers)
     squared = torch.cdist(features, centers) ** 2
-    return -CLUSTER_SHARPNESS * squared / squared.amin(1).mean().clamp(min=1e-12) / count
+    return -CLUSTER_SHARPNESS * squared / squared.amin(1).mean().clamp(min=1e-12)
 
 
 def _scale(values: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -31,9 +32,9 @@ class FieldMotion(SharedMotion):
         """See ``MotionModel``."""
         return {**super().parameters, "anchors": Parameter((3,), "motion", moves=True)}
 
+    @abstractmethod
     def ask(self, anchors: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
         """Return [N, ``OFFSET_NUMBERS``] what the field says of places [N, 3] at times [N], and its derivative in time."""
-        raise NotImplementedError
 
     def start(
         self, means: Tensor, times: Tensor, quats: Tensor, scales: Tensor, log_lambdas: Tensor, coefficients: Tensor
@@ -53,13 +54,6 @@ class FieldMotion(SharedMotion):
             quats=params["quats"] + since[:, 3:],
             scales=torch.exp(params["log_scales"]),
         )
-
-    def recenter(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
-        """See ``MotionModel``."""
-        times = params["times"] + shift
-        moved = self.state(params, times)
-        assert moved.quats is not None
-        return {**params, "means": moved.means, "quats": moved.quats, "times": times}
 
 
 # -- networks

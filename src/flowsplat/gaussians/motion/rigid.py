@@ -3,17 +3,23 @@ their own."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import torch
 from torch import Tensor
 
-from flowsplat.gaussians.motion.protocol import FusedKernels, Parameter, Params, Shape
+from flowsplat.gaussians.motion.protocol import FusedKernels, MotionState, Parameter, Params, Shape
 
 
-class RigidMotion:
-    """A model without its motion: subclasses add its parameters, ``state`` and ``recenter``, and what of it has a start.
+class RigidMotion(ABC):
+    """A model without its motion: subclasses add its parameters and ``state``, and what of it has a start.
 
-    As it is, ``start`` leaves all motion at 0.
+    As it is, ``start`` leaves all motion at 0, and ``recenter`` is that of models that are asked for absolute times.
     """
+
+    @abstractmethod
+    def state(self, params: Params, t: float | Tensor) -> MotionState:
+        """See ``MotionModel``."""
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -46,6 +52,13 @@ class RigidMotion:
     ) -> dict[str, Tensor]:  # fmt: skip
         """See ``MotionModel``."""
         return {"quats": quats, "log_scales": torch.log(scales), "log_lambdas": log_lambdas}
+
+    def recenter(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
+        """See ``MotionModel``."""
+        times = params["times"] + shift
+        moved = self.state(params, times)
+        assert moved.quats is not None
+        return {**params, "means": moved.means, "quats": moved.quats, "times": times}
 
     def with_precision(self, params: Params, log_lambda: float) -> dict[str, Tensor]:
         """See ``MotionModel``."""

@@ -6,6 +6,7 @@ keeps them beside its rows (``shared``) and binds its model to them, so that ``s
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -13,7 +14,7 @@ import torch
 from torch import Tensor
 from typing_extensions import Self
 
-from flowsplat.gaussians.motion.protocol import MotionState, Params
+from flowsplat.gaussians.motion.protocol import Params
 from flowsplat.gaussians.motion.rigid import RigidMotion
 
 FIT_GAUSSIANS = 4096
@@ -51,9 +52,9 @@ class SharedMotion(RigidMotion):
     shared: Mapping[str, Tensor] = field(default_factory=dict, kw_only=True, repr=False, compare=False)
 
     @property
+    @abstractmethod
     def shared_parameters(self) -> dict[str, SharedParameter]:
         """All of them, by name; none has the name of a parameter of Gaussians."""
-        raise NotImplementedError
 
     def bind(self, shared: Mapping[str, Tensor]) -> Self:
         """Return the same model with these values."""
@@ -63,13 +64,9 @@ class SharedMotion(RigidMotion):
         """Return the value of one, in the type of ``like``: what looks at a trained scene may do so in float64."""
         return self.shared[name].to(like.dtype)
 
+    @abstractmethod
     def initial_shared(self) -> dict[str, Tensor]:
         """Return values with which nothing moves, as training begins with them; float32, the same every time."""
-        raise NotImplementedError
-
-    def state(self, params: Params, t: float | Tensor) -> MotionState:
-        """See ``MotionModel``."""
-        raise NotImplementedError
 
     def anneal(self, progress: float) -> dict[str, float]:
         """Return what the shared parameters that are not learned become after this share of training, 0 to 1."""

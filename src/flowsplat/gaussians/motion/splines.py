@@ -52,13 +52,6 @@ class SplineMotion(RigidMotion):
             scales=torch.exp(params["log_scales"]),
         )
 
-    def recenter(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
-        """See ``MotionModel``."""
-        times = params["times"] + shift
-        moved = self.state(params, times)
-        assert moved.quats is not None
-        return {**params, "means": moved.means, "quats": moved.quats, "times": times}
-
 
 def _combine(weights: Tensor, knots: Tensor) -> Tensor:
     return torch.bmm(weights[:, None], knots)[:, 0]

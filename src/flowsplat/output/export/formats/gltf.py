@@ -32,8 +32,6 @@ from flowsplat.splatting.harmonics import harmonics_count
 
 EXTENSION = "KHR_gaussian_splatting"
 """Name of the extension, and of its attributes before a colon."""
-MAX_DEGREE = 3
-"""Degree of harmonics that the extension holds at most."""
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
 _FLOAT, _POINTS, _ARRAY_BUFFER = 5126, 0, 34962
 _HEADER_BYTES = 8000
@@ -59,7 +57,7 @@ def write(path: Path, model: SceneModel, scene: Scene, options: ExportOptions) -
 
 def estimate_bytes(model: SceneModel, scene: Scene, options: ExportOptions) -> int:
     """Return about how many it will be, as a binary file."""
-    harmonics = harmonics_count(min(model.gaussians.sh_degree, MAX_DEGREE))
+    harmonics = harmonics_count(model.gaussians.sh_degree)
     each = 4 * (3 + 4 + 3 + 1 + 4 + 3 * harmonics)
     return _HEADER_BYTES + 32 * scene.num_frames + each * model.active_count(middle_or(model, options.time))
 
@@ -147,7 +145,7 @@ def _make_points(still: Still, rows: torch.Tensor, buffer: _Buffer) -> dict[str,
         f"{EXTENSION}:SCALE": buffer.add(np.exp(still.log_scales[rows].numpy())),
         f"{EXTENSION}:OPACITY": buffer.add(opacities),
     }
-    for degree in range(min(int(sh.shape[1] ** 0.5) - 1, MAX_DEGREE) + 1):
+    for degree in range(round(sh.shape[1] ** 0.5)):
         for k in range(2 * degree + 1):
             attributes[f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{k}"] = buffer.add(sh[:, degree**2 + k])
     properties = {
@@ -165,8 +163,6 @@ def _find_losses(model: SceneModel, scene: Scene) -> list[str]:
         losses.append(f"its camera looks through the middle of the image, which is {shift:.1f} pixels from where the clip's does")
     if np.ptp([camera.K[0, 0] for camera in scene.cameras]) > 1e-3 * first.K[0, 0]:
         losses.append("its camera does not zoom as the clip's does")
-    if model.gaussians.sh_degree > MAX_DEGREE:
-        losses.append(f"harmonics beyond degree {MAX_DEGREE} are left out")
     return losses
 
 
