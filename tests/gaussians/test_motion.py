@@ -21,7 +21,7 @@ from flowsplat.gaussians.motion import (
 from flowsplat.gaussians.motion.bases import BasesMotion
 from flowsplat.gaussians.motion.deformation import DeformationMotion
 from flowsplat.gaussians.motion.hexplane import HexplaneMotion
-from flowsplat.gaussians.motion.knots import cubic_weights, linear_weights
+from flowsplat.gaussians.motion.knots import cubic_weights, fit_knots, linear_weights
 from flowsplat.gaussians.motion.marbles import MarbleMotion
 from flowsplat.gaussians.motion.splines import SplineMotion
 from tests.gaussians.balls import Balls
@@ -138,11 +138,45 @@ def test_the_first_gaussians_follow_their_paths(kind):
     params = {"means": means, "times": times, **{name: torch.zeros(count, *shape) for name, shape in shapes.items()}}
     params |= motion.start(means, times, quats, scales, log_lambdas, coefficients)
     if isinstance(motion, SharedMotion):
-        motion = motion.bind(motion.start_shared(params, coefficients))
+        motion = motion.bind(motion.start_shared(params, coefficients, torch.ones(count, dtype=torch.bool)))
     moved = motion.state(params, times + 0.1).means - means
     expected = 0.1 * coefficients[:, 0]
     assert float((moved - expected).norm(dim=1).mean()) < 0.35 * float(expected.norm(dim=1).mean())
     torch.testing.assert_close(motion.state(params, times).means, means, atol=1e-5, rtol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["bases", "hexplane", "deformation"])
+def test_what_rests_at_the_start_would_stay_where_it_is(kind):
+    """Also if it is found to move later: what all share is fitted to it as well."""
+    motion = motion_model(ModelConfig(kind=kind))
+    assert isinstance(motion, SharedMotion)
+    g = torch.Generator().manual_seed(2)
+    count = 600
+    means, times, dynamic = torch.rand(count, 3, generator=g), torch.rand(count, generator=g), torch.arange(count) % 6 == 0
+    means[dynamic] = 0.4 + 0.2 * means[dynamic]
+    means[~dynamic, 2] += 1.0
+    coefficients = torch.where(dynamic[:, None, None], torch.tensor([[[0.4, 0.0, 0.1]]]), torch.zeros(1, 1, 3))
+    log_lambdas = torch.where(dynamic, math.log(1 / 0.1**2), math.log(1e-6))
+    quats, scales = torch.tensor([1.0, 0, 0, 0]).expand(count, 4), torch.full((count, 3), 0.02)
+    shapes = {name: parameter.shape for name, parameter in motion.parameters.items()}
+    params = {"means": means, "times": times, **{name: torch.zeros(count, *shape) for name, shape in shapes.items()}}
+    params |= motion.start(means, times, quats, scales, log_lambdas, coefficients)
+    motion = motion.bind(motion.start_shared(params, coefficients, dynamic))
+    moved = (motion.state(params, times + 0.1).means - means).norm(dim=1)
+    true = 0.1 * float(coefficients[0, 0].norm())
+    assert float(moved[dynamic].median()) > 0.6 * true
+    assert float(moved[~dynamic].median()) < 0.1 * true
+
+
+@pytest.mark.parametrize("sigma", [1e-4, 2e-3, 0.04, 0.3])
+@pytest.mark.parametrize("weigh", [cubic_weights, linear_weights])
+def test_knots_have_the_speed_of_a_path_however_short_it_is_known(weigh, sigma):
+    times = torch.tensor([0.0, 0.21, 0.5, 0.93])
+    velocities = torch.tensor([[0.4, 0.0, -0.1]]).expand(4, 3)
+    knots = fit_knots(weigh, times, torch.full((4,), sigma), velocities[:, None], 12)
+    _, rates = weigh(times, 12)
+    found = torch.bmm(rates[:, None], knots)[:, 0]
+    torch.testing.assert_close(found, velocities, rtol=1e-3, atol=1e-4)
 
 
 @pytest.mark.parametrize("weigh", [cubic_weights, linear_weights])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
@@ -14,7 +15,7 @@ from flowsplat.common.bounds import Amount, AtLeastOne, Fraction, Positive, boun
 from flowsplat.common.errors import InputError
 from flowsplat.common.spread import spread
 from flowsplat.gaussians.first_motion import fit_motion
-from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D, concatenate, parameter_shapes
+from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D, parameter_shapes
 from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.motion import SharedMotion, motion_model
 from flowsplat.gaussians.observations import Observation, Observations
@@ -29,6 +30,8 @@ scenes on which spacings were chosen."""
 BACKGROUND_LOG_LAMBDA = float(np.log(1e-6))
 MIN_TRUSTED_SHARE = 0.05
 """Share of the objects' pixels of a frame: where fewer have trusted depth, all of them are used. Chosen by eye."""
+RANDOM_OPACITY = 0.1
+"""Opacity of a random start."""
 FITTING_TRIES = 3
 """How often the grids are made coarser until the cap holds. Chosen by eye."""
 FITTING_MARGIN = 1.01
@@ -80,8 +83,9 @@ class InitConfig:
 
 
 def initialize(
-    observations: Observations, tracks: Tracks | None, model: ModelConfig, config: InitConfig, seed: int, cap: int
-) -> Gaussians4D:
+    observations: Observations, tracks: Tracks | None, model: ModelConfig, config: InitConfig, seed: int, cap: int,
+    moves: bool = True,
+) -> Gaussians4D:  # fmt: skip
     """Gaussians to start training from.
 
     Args:
@@ -92,25 +96,26 @@ def initialize(
         seed: of the random choices.
         cap: no more Gaussians than this. Both grids, of the background and of the objects, are made coarser alike until they
             fit, so that fewer Gaussians are larger and leave no holes; what little is still too much is dropped at random.
+        moves: whether what a motion model shares among Gaussians is fitted to their paths; a scene without motion has no use
+            for it.
     """
     rng = np.random.default_rng(seed)
     config = _widen(config, (max(observations.size) / SPACED_SIDE) ** config.spacing_growth)
     if not config.from_priors:
-        gaussians = _random(observations, model, rng, min(config.random_count, cap))
+        first = _random(observations, rng, min(config.random_count, cap))
     else:
-        gaussians = _from_priors(observations, tracks, model, config, rng)
+        first = _from_priors(observations, tracks, model, config, rng)
         for _ in range(FITTING_TRIES):
-            if len(gaussians) <= cap:
+            if len(first) <= cap:
                 break
             # Twice as wide a grid has a quarter of the points.
-            config = _widen(config, FITTING_MARGIN * (len(gaussians) / cap) ** 0.5)
-            gaussians = _from_priors(observations, tracks, model, config, rng)
-    if len(gaussians) > cap:
-        keep = np.sort(rng.permutation(len(gaussians))[:cap])
-        gaussians = gaussians.select(torch.from_numpy(keep))
-    if len(gaussians) == 0:
+            config = _widen(config, FITTING_MARGIN * (len(first) / cap) ** 0.5)
+            first = _from_priors(observations, tracks, model, config, rng)
+    if len(first) > cap:
+        first = first.select(np.sort(rng.permutation(len(first))[:cap]))
+    if len(first) == 0:
         raise InputError("No Gaussian could be made: the scene has no trusted depth in any training frame.")
-    return gaussians
+    return _build(first, model, config.opacity if config.from_priors else RANDOM_OPACITY, moves)
 
 
 def _widen(config: InitConfig, factor: float) -> InitConfig:
@@ -123,44 +128,73 @@ def _widen(config: InitConfig, factor: float) -> InitConfig:
 
 def _from_priors(
     observations: Observations, tracks: Tracks | None, model: ModelConfig, config: InitConfig, rng: np.random.Generator
-) -> Gaussians4D:
-    parts = [_initialize_background(observations, model, config, rng)]
-    if any(frame.mask.any() for frame in observations.frames):
-        parts.append(_initialize_objects(observations, tracks, model, config, rng))
-    return concatenate(parts)
+) -> _First:
+    background = _initialize_background(observations, model, config, rng)
+    if not any(frame.mask.any() for frame in observations.frames):
+        return background
+    return _First.concatenate([background, _initialize_objects(observations, tracks, config, rng)])
 
 
 # -- building
 
 
-def _build(
-    samples: SurfaceSamples,
-    times: np.ndarray,
-    log_lambdas: np.ndarray,
-    motion: np.ndarray,
-    dynamic: bool,
-    model: ModelConfig,
-    opacity: float,
-    object_ids: np.ndarray | None = None,
-) -> Gaussians4D:
-    """Gaussians from surface samples; motion [N, order, 3] are the first polynomial coefficients of the mean.
+@dataclass(frozen=True)
+class _First:
+    """What the first Gaussians are made of, N of them.
 
-    ``object_ids`` [N]: the number of the object that each belongs to; None = they belong to none.
+    Attributes:
+        samples: of surfaces.
+        times: [N] center times.
+        log_lambdas: [N] log of their temporal precision.
+        motion: [N, order, 3] first polynomial coefficients of the mean.
+        dynamic: [N] bool.
+        object_ids: [N] uint8, the number of the object that each belongs to; 0 = none.
     """
-    count = len(samples.means)
+
+    samples: SurfaceSamples
+    times: np.ndarray
+    log_lambdas: np.ndarray
+    motion: np.ndarray
+    dynamic: np.ndarray
+    object_ids: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def select(self, rows: np.ndarray) -> _First:
+        """Return some of them."""
+        return _First(self.samples.select(rows), *(values[rows] for values in self._arrays()))
+
+    def _arrays(self) -> tuple[np.ndarray, ...]:
+        return self.times, self.log_lambdas, self.motion, self.dynamic, self.object_ids
+
+    @staticmethod
+    def concatenate(parts: Sequence[_First]) -> _First:
+        """Return all of several; a shorter polynomial has no further terms."""
+        order = max(part.motion.shape[1] for part in parts)
+        padded = [replace(part, motion=np.pad(part.motion, ((0, 0), (0, order - part.motion.shape[1]), (0, 0)))) for part in parts]
+        joined = (np.concatenate(values) for values in zip(*(part._arrays() for part in padded), strict=True))
+        return _First(SurfaceSamples.concatenate([part.samples for part in parts]), *joined)
+
+
+def _build(first: _First, model: ModelConfig, opacity: float, moves: bool) -> Gaussians4D:
+    """Make Gaussians of them. What these share is fitted to all of their paths together, once: that of what rests is 0."""
+    count = len(first)
     params = {name: torch.zeros(count, *shape) for name, shape in parameter_shapes(model).items()}
-    params["means"] = torch.from_numpy(samples.means.astype(np.float32))
-    params["times"] = torch.from_numpy(times.astype(np.float32))
+    params["means"] = torch.from_numpy(first.samples.means.astype(np.float32))
+    params["times"] = torch.from_numpy(first.times.astype(np.float32))
     params["logit_opacities"] = torch.full((count,), float(np.log(opacity / (1 - opacity))))
-    params["sh"][:, 0] = harmonics_from_colors(torch.from_numpy(samples.colors.astype(np.float32)))
-    moves = motion_model(model)
+    params["sh"][:, 0] = harmonics_from_colors(torch.from_numpy(first.samples.colors.astype(np.float32)))
+    motion = motion_model(model)
     quats, scales, precision, followed = (
-        torch.from_numpy(values.astype(np.float32)) for values in (samples.quats, samples.scales, log_lambdas, motion)
+        torch.from_numpy(values.astype(np.float32))
+        for values in (first.samples.quats, first.samples.scales, first.log_lambdas, first.motion)
     )
-    params.update(moves.start(params["means"], params["times"], quats, scales, precision, followed))
-    shared = moves.start_shared(params, followed) if isinstance(moves, SharedMotion) else {}
-    numbers = np.zeros(count, np.uint8) if object_ids is None else object_ids.astype(np.uint8)
-    return Gaussians4D(params, torch.full((count,), dynamic), model, object_ids=torch.from_numpy(numbers), shared=shared)
+    params.update(motion.start(params["means"], params["times"], quats, scales, precision, followed))
+    dynamic, shared = torch.from_numpy(first.dynamic), {}
+    if isinstance(motion, SharedMotion):
+        shared = motion.start_shared(params, followed, dynamic) if moves else motion.initial_shared()
+    return Gaussians4D(params, dynamic, model, object_ids=torch.from_numpy(first.object_ids.astype(np.uint8)), shared=shared)
 
 
 def _spheres(samples: SurfaceSamples) -> SurfaceSamples:
@@ -201,7 +235,7 @@ def _middle_out(count: int) -> list[int]:
 
 def _initialize_background(
     observations: Observations, model: ModelConfig, config: InitConfig, rng: np.random.Generator
-) -> Gaussians4D:
+) -> _First:
     """Unproject what lies outside the masks, every surface once: first what has trusted depth, then what is still missing.
 
     Borders that few frames saw have no trusted depth, and a guess renders far better there than a hole.
@@ -228,9 +262,8 @@ def _initialize_background(
     if not config.surface_aligned:
         samples = _spheres(samples)
     count = len(samples.means)
-    still = np.zeros((count, 0, 3))
-    precision = np.full(count, BACKGROUND_LOG_LAMBDA)
-    return _build(samples, np.concatenate(times), precision, still, False, model, config.opacity)
+    precision, still = np.full(count, BACKGROUND_LOG_LAMBDA), np.zeros((count, 0, 3))
+    return _First(samples, np.concatenate(times), precision, still, np.zeros(count, bool), np.zeros(count, np.uint8))
 
 
 def _find_covered(points: np.ndarray, frame: Observation, tolerance: float, spacing: float | np.ndarray) -> np.ndarray:
@@ -263,10 +296,9 @@ def choose_frames(count: int, config: InitConfig) -> tuple[np.ndarray, float]:
 def _initialize_objects(
     observations: Observations,
     tracks: Tracks | None,
-    model: ModelConfig,
     config: InitConfig,
     rng: np.random.Generator,
-) -> Gaussians4D:
+) -> _First:
     """Objects: every pixel (or track) of the sampled frames, with the motion of the points it follows."""
     sampled, log_lambda = choose_frames(len(observations), config)
     sigma = float(np.exp(-0.5 * log_lambda))
@@ -292,9 +324,8 @@ def _initialize_objects(
     merged, center_times = SurfaceSamples.concatenate(samples), np.concatenate(times)
     if not config.surface_aligned:
         merged = _spheres(merged)
-    precision = np.full(len(center_times), log_lambda)
-    motion, numbers = np.concatenate(motions), np.concatenate(object_ids)
-    return _build(merged, center_times, precision, motion, True, model, config.opacity, numbers)
+    precision, dynamic = np.full(len(center_times), log_lambda), np.ones(len(center_times), bool)
+    return _First(merged, center_times, precision, np.concatenate(motions), dynamic, np.concatenate(object_ids))
 
 
 def _track_pixels(tracks: Tracks | None, frame: Observation, usable: np.ndarray) -> np.ndarray:
@@ -313,7 +344,7 @@ def _track_pixels(tracks: Tracks | None, frame: Observation, usable: np.ndarray)
 # -- random
 
 
-def _random(observations: Observations, model: ModelConfig, rng: np.random.Generator, count: int) -> Gaussians4D:
+def _random(observations: Observations, rng: np.random.Generator, count: int) -> _First:
     """Uniform in the box of the training frusta between 0.3 and 3 median depths, at uniform times (docs/method.md,
     "Initialization")."""
     corners = []
@@ -325,7 +356,8 @@ def _random(observations: Observations, model: ModelConfig, rng: np.random.Gener
     means = rng.uniform(low, high, (count, 3))
     points = SurfaceSamples(means, np.tile([1.0, 0, 0, 0], (count, 1)), np.ones((count, 3)), rng.random((count, 3)))
     times, precision = rng.uniform(-0.1, 1.1, count), np.full(count, np.log(5.0))
-    return _build(_spheres(points), times, precision, np.zeros((count, 0, 3)), True, model, 0.1)
+    still, dynamic = np.zeros((count, 0, 3)), np.ones(count, bool)
+    return _First(_spheres(points), times, precision, still, dynamic, np.zeros(count, np.uint8))
 
 
 def _nearest(points: np.ndarray, queries: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -27,6 +27,10 @@ class SurfaceSamples:
         """No sample."""
         return SurfaceSamples(np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros((0, 3)))
 
+    def select(self, rows: np.ndarray) -> SurfaceSamples:
+        """Return some of them."""
+        return SurfaceSamples(self.means[rows], self.quats[rows], self.scales[rows], self.colors[rows])
+
     @staticmethod
     def concatenate(parts: Sequence[SurfaceSamples]) -> SurfaceSamples:
         """Return all samples of several."""

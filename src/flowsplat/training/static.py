@@ -38,7 +38,7 @@ def static_start(observations: Observations, tracks: Tracks | None, config: Trai
         tracks: for an initialization from tracks.
         config: from ``static_config``.
     """
-    start = initialize(observations, tracks, config.model, config.init, config.seed, config.most_at_start)
+    start = initialize(observations, tracks, config.model, config.init, config.seed, config.most_at_start, moves=False)
     keep = ~start.dynamic
     if not config.init.from_priors:
         keep[:] = True

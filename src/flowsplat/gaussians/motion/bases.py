@@ -20,6 +20,9 @@ CLUSTER_ROUNDS = 10
 CLUSTER_SHARPNESS = 4.0
 """Logit that separates a group from one that is as far off as groups are from their members on average. Chosen by eye."""
 
+RESTING_LOGIT = 2 * CLUSTER_SHARPNESS
+"""Logit of the last basis for what begins at rest; the others have 0. Chosen by eye."""
+
 
 @dataclass(frozen=True)
 class BasesMotion(SharedMotion):
@@ -58,13 +61,27 @@ class BasesMotion(SharedMotion):
     def start(
         self, means: Tensor, times: Tensor, quats: Tensor, scales: Tensor, log_lambdas: Tensor, coefficients: Tensor
     ) -> dict[str, Tensor]:  # fmt: skip
-        """See ``MotionModel``: Gaussians that are near each other and move alike have the same basis most."""
+        """See ``MotionModel``: Gaussians that are near each other and move alike have the same basis most, those without a path the
+        last one, which rests at the start."""
         common = super().start(means, times, quats, scales, log_lambdas, coefficients)
-        if len(means) == 0:
-            return common
-        # Where no path is known, places alone: with one blend for all, bases that begin alike would stay alike.
-        velocities = coefficients[:, 0] if coefficients.shape[1] else torch.zeros_like(means)
-        return {**common, "basis_logits": _group(means, velocities, self.bases)}
+        follow = coefficients.flatten(1).any(1)
+        if not bool(follow.any()):
+            # By places alone: with one blend for all, bases that begin alike would stay alike.
+            return {**common, "basis_logits": _group(means, torch.zeros_like(means), self.bases)} if len(means) else common
+        moving = max(self.bases - 1, 1)
+        logits = means.new_zeros(len(means), self.bases)
+        logits[follow, :moving] = _group(means[follow], coefficients[follow, 0], moving)
+        logits[follow, moving:] = logits[follow, :moving].amin(1, keepdim=True)
+        logits[~follow, moving:] = RESTING_LOGIT
+        return {**common, "basis_logits": logits}
+
+    def start_shared(self, params: Params, coefficients: Tensor, dynamic: Tensor) -> dict[str, Tensor]:
+        """See ``SharedMotion``; the last basis rests, where there are others."""
+        found = super().start_shared(params, coefficients, dynamic)
+        if self.bases > 1:
+            for name, value in self.initial_shared().items():
+                found[name][-1] = value[-1]
+        return found
 
     def state(self, params: Params, t: float | Tensor) -> MotionState:
         """See ``MotionModel``."""

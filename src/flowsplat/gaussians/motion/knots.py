@@ -12,9 +12,9 @@ FIT_AT_A_TIME = 8192
 """Gaussians whose knots are fitted at a time, for the memory. Chosen by eye."""
 PATH_SIGMAS = (-1.5, -1.0, -0.5, 0.5, 1.0, 1.5)
 """At which times from its center, in standard deviations of its presence, a path that is fitted is asked for. Chosen by eye."""
-BEND_WEIGHT, VALUE_WEIGHT = 1e-2, 1e-5
-"""What the squares of the second differences of the knots and of their values count in that fit, relative to the path: where it
-says nothing the knots go on straight. Chosen by eye."""
+BEND_WEIGHT = 1e-2
+"""What the squares of the second differences of the knots count in that fit, relative to the path: where it says nothing the knots
+go on straight. Chosen by eye."""
 
 
 def cubic_weights(t: Tensor, count: int) -> tuple[Tensor, Tensor]:
@@ -68,19 +68,22 @@ def fit_knots(weigh: WeighKnots, times: Tensor, sigmas: Tensor, coefficients: Te
         coefficients: [N, order, 3] a_n of the path sum a_n tau^n; order may be 0.
         count: knots.
     """
-    at_a_time = (values.split(FIT_AT_A_TIME) for values in (times, sigmas, coefficients))
-    parts = [_fit_some(weigh, *some, count=count) for some in zip(*at_a_time, strict=True)]
-    return torch.cat(parts) if parts else coefficients.new_zeros(0, count, 3)
+    knots, moving = coefficients.new_zeros(len(times), count, 3), torch.nonzero(coefficients.flatten(1).any(1)).squeeze(1)
+    for rows in moving.split(FIT_AT_A_TIME) if len(moving) else ():
+        knots[rows] = _fit_some(weigh, times[rows], sigmas[rows], coefficients[rows], count)
+    return knots
 
 
-def _fit_some(weigh: WeighKnots, times: Tensor, sigmas: Tensor, coefficients: Tensor, *, count: int) -> Tensor:
-    if coefficients.shape[1] == 0:
-        return coefficients.new_zeros(len(times), count, 3)
-    spans = sigmas.double()[:, None] * torch.tensor(PATH_SIGMAS, dtype=torch.float64)
+def _fit_some(weigh: WeighKnots, times: Tensor, sigmas: Tensor, coefficients: Tensor, count: int) -> Tensor:
+    sides = torch.tensor(PATH_SIGMAS, dtype=torch.float64, device=times.device)
+    spans = sigmas.double()[:, None] * sides
     powers = torch.stack([spans ** (n + 1) for n in range(coefficients.shape[1])], -1)
     paths = powers @ coefficients.double()
     at = times.double()[:, None]
     design = weigh(at + spans, count)[0] - weigh(at, count)[0]
-    bends = torch.eye(count, dtype=torch.float64).diff(n=2, dim=0)
-    normal = design.transpose(1, 2) @ design + BEND_WEIGHT * bends.T @ bends + VALUE_WEIGHT * torch.eye(count, dtype=torch.float64)
+    bends = torch.eye(count, dtype=torch.float64, device=times.device).diff(n=2, dim=0)
+    # A path says nothing of the mean of the knots, and neither do bends: it is 0, whatever weight that has. Their slope is left to
+    # the path alone; a weight on the values would take from it the more, the shorter it is known.
+    mean = torch.full_like(design[:1, :1, :], 1 / count)
+    normal = design.transpose(1, 2) @ design + BEND_WEIGHT * bends.T @ bends + mean.transpose(1, 2) @ mean
     return torch.linalg.solve(normal, design.transpose(1, 2) @ paths).to(coefficients)
