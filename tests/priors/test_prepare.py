@@ -225,13 +225,24 @@ def test_truth_of_held_out_frames_gives_cameras_only(tmp_path: Path):
     assert not any(scene.has_depth(i) or scene.has_mask(i) for i in scene.heldout_frames)
     assert not scene.tracks.visible[:, scene.heldout_frames].any()
     assert scene.tracks.visible[:, scene.train_frames].all()
-    # The truth has no flow across held-out frames, so that the flow stage has to complete it.
-    assert scene.prior("flow") is None
-    assert (0, 1) in scene.flow_pairs
-    assert (3, 5) not in scene.flow_pairs
-    seconds = prepare_priors(scene, PriorsOptions(priors="true"))
+    # Put together from that of the pairs between.
+    assert scene.prior("flow")["method"] == "truth"
+    assert (3, 5) not in scene.truth.flow_pairs
+    flow = scene.flow(3, 5)
+    assert flow.trusted.mean() > 0.8
+    expected = scene.truth.flow(3, 4).flow + scene.truth.flow(4, 5).flow
+    assert np.median(np.abs(flow.flow - expected)[flow.trusted]) < 1 / 32
+    assert "flow" not in prepare_priors(scene, PriorsOptions(priors="true"))
+
+
+def test_flow_that_the_truth_lacks_is_completed_and_the_true_one_stays(tmp_path: Path):
+    scene = write_planes(tmp_path, step=2, square=True, holdout=5)
+    (scene.truth.folder / "flow" / "00003_00004.npz").unlink()
+    assert "flow" in prepare_priors(scene, PriorsOptions(priors="true"))
+    assert scene.prior("flow")["method"] == "dis"
     assert (3, 5) in scene.flow_pairs
-    assert "flow" in seconds
+    for pair in ((0, 1), (1, 0)):
+        np.testing.assert_array_equal(scene.flow(*pair).flow, scene.truth.flow(*pair).flow)
 
 
 def test_a_filmed_clip_has_no_truth(tmp_path: Path):

@@ -6,6 +6,7 @@ outline is the strongest thing in the image. Of both flows every pixel takes tha
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from itertools import pairwise
 
 import cv2
@@ -35,12 +36,16 @@ WINDOW_SIGMA = 2.0
 """Standard deviation in pixels of the window over which flows are compared (docs/method.md, "Flow, masks and depth")."""
 
 
-def object_flow_stage(scene: Scene) -> None:
-    """Search the flow between consecutive training frames again inside the masks; what rests keeps what it has."""
+def object_flow_stage(scene: Scene, kept: Collection[tuple[int, int]] = ()) -> None:
+    """Search the flow between consecutive training frames again inside the masks; what rests keeps what it has.
+
+    Args:
+        kept: pairs that stay as they are.
+    """
     continuity = Continuity(scene)
     for k, (i, j) in enumerate(track(list(pairwise(scene.train_frames)), "Flow of objects")):
         masks = scene.mask(i) > 0, scene.mask(j) > 0
-        if not (masks[0].any() and masks[1].any() and continuity.are_joined(k, k + 1)):
+        if {(i, j), (j, i)} <= set(kept) or not (masks[0].any() and masks[1].any() and continuity.are_joined(k, k + 1)):
             continue
         flows = scene.flow(i, j), scene.flow(j, i)
         if min(float(flow.trusted[mask].mean()) for flow, mask in zip(flows, masks, strict=True)) >= MIN_TRUSTED_SHARE:

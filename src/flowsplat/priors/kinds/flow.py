@@ -6,14 +6,14 @@ from functools import partial
 from pathlib import Path
 
 from flowsplat.priors.flow import FlowEstimator, dis_estimator, flow_stage
-from flowsplat.priors.given import consecutive_pairs
+from flowsplat.priors.given import consecutive_pairs, true_flow, true_layers
 from flowsplat.priors.given.fitting import verdict_of
 from flowsplat.priors.given.flow import read_flow
 from flowsplat.priors.learned.networks import OWN_METHODS, fill_methods
 from flowsplat.priors.learned.weights import network_device
 from flowsplat.priors.object_flow import object_flow_stage
 from flowsplat.priors.options import PriorsOptions
-from flowsplat.priors.prior import GIVEN, TRUTH, Kind, PriorRequest
+from flowsplat.priors.prior import GIVEN, TRUTH, Kind, PriorRequest, Stage
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import Layers
 
@@ -41,12 +41,12 @@ def _get_requested(request: PriorRequest) -> str | None:
 
 
 def _read_true(scene: Scene, truth: Layers) -> bool:
-    """Pairs that the truth does not have (across a held-out frame) are left to the flow stage."""
-    known, wanted = set(truth.flow_pairs), consecutive_pairs(scene)
-    for pair in wanted:
-        if pair in known:
-            scene.write_flow(truth.flow(*pair))
-    return known.issuperset(wanted)
+    """Pairs that the truth does not have are left to the flow stage."""
+    found = [true_flow(truth, *pair) for pair in consecutive_pairs(scene)]
+    for flow in found:
+        if flow is not None:
+            scene.write_flow(flow)
+    return None not in found
 
 
 def _read_given(request: PriorRequest, path: Path) -> None:
@@ -75,4 +75,12 @@ def _lacks_objects(request: PriorRequest) -> bool:
     return flow.get("method") == OWN and not flow.get("objects")
 
 
-OBJECT_FLOW = Kind(compute=lambda request: partial(object_flow_stage, request.scene), is_due=_lacks_objects)
+def _search_objects(request: PriorRequest) -> Stage:
+    """What is true stays as it is."""
+    true = [] if not request.wants_truth else [
+        pair for pair in consecutive_pairs(request.scene) if true_flow(true_layers(request.scene), *pair) is not None
+    ]  # fmt: skip
+    return partial(object_flow_stage, request.scene, true)
+
+
+OBJECT_FLOW = Kind(compute=_search_objects, is_due=_lacks_objects)
