@@ -8,6 +8,7 @@ from pathlib import Path
 from flowsplat.common.errors import InUseError
 from flowsplat.common.processes import in_own_process
 from flowsplat.pipeline import prepare
+from flowsplat.pipeline.preparing import find_prepared
 from flowsplat_benchmarks.datasets.cases import Case
 
 POLL_INTERVAL = 2.0
@@ -20,6 +21,8 @@ def prepare_scene(case: Case, folder: Path) -> Path:
     Raises:
         InputError: the input cannot be used.
     """
+    if (found := find_prepared(case.source, folder, case.config)) is not None:
+        return found
     while True:
         try:
             return in_own_process(_prepare, case, folder)

@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 
+from flowsplat.gaussians.gaussians4d import Active, Gaussians4D, parameter_shapes
 from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.motion import (
     LinearMotion,
@@ -24,6 +25,7 @@ from flowsplat.gaussians.motion.hexplane import HexplaneMotion
 from flowsplat.gaussians.motion.knots import cubic_weights, fit_knots, linear_weights
 from flowsplat.gaussians.motion.marbles import MarbleMotion
 from flowsplat.gaussians.motion.splines import SplineMotion
+from flowsplat.gaussians.slicing.reference import slice_gaussians
 from tests.gaussians.balls import Balls
 
 
@@ -304,3 +306,33 @@ def test_the_covariance_of_linear_motion_is_exact_however_long_it_lasts(duration
     expected = U - V[:, :, None] * V[:, None] / W[:, None, None]
     found = LinearMotion().state({name: value.float() for name, value in params.items()}, 0.3).covars
     assert ((found - expected).flatten(1).norm(dim=1) / expected.flatten(1).norm(dim=1)).max() < 1e-4
+
+
+@pytest.mark.parametrize("kind", ["series", "linear", "splines", "marbles", "bases", "hexplane", "deformation"])
+def test_all_that_a_model_computes_stays_on_its_device(kind):
+    """With tensors that have no values, on a device of their own (``meta``): most operations refuse to mix in one of the host."""
+    config, device = ModelConfig(kind=kind), torch.device("meta")
+    motion = motion_model(config)
+    if isinstance(motion, SharedMotion):
+        motion = motion.bind({name: value.to(device).requires_grad_() for name, value in motion.initial_shared().items()})
+    shapes = parameter_shapes(config).items()
+    params = {name: torch.zeros(6, *shape, device=device, requires_grad=True) for name, shape in shapes}
+    times = params["times"]
+    moved = [motion.recenter(params, times), motion.shrunk(params, 0.5, times > 0)]
+    if kind != "linear":  # which solves eigenvalues on the host
+        moved.append(motion.with_precision(params, 1.0))
+    found = [motion.log_precision(params), motion.log_scales(params), *(value for each in moved for value in each.values())]
+    for given in (motion.state(params, 0.3), motion.state(params, times), motion.at_rest(params)):
+        found += vars(given).values()
+    leaves = {name: value.detach() for name, value in params.items()}
+    shared = {name: value.detach() for name, value in getattr(motion, "shared", {}).items()}
+    gaussians, gradients = Gaussians4D(leaves, leaves["times"] > 0, config, 1, shared=shared), {}
+    active = Active(torch.zeros(6, dtype=torch.int64, device=device), 2, 0.3)
+    sliced = [
+        value for value in vars(slice_gaussians(gaussians, active, torch.zeros(3), 0.5, gradients)).values() if value is not None
+    ]
+    torch.stack([value.sum() for value in sliced]).sum().backward()
+    gaussians.anneal(0.5)
+    found += [*sliced, *gradients.values()]
+    assert gradients.keys() >= {name for name, parameter in getattr(motion, "shared_parameters", {}).items() if parameter.rate > 0}
+    assert {value.device for value in found if value is not None} == {device}

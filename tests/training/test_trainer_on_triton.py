@@ -90,6 +90,47 @@ def test_steps_lead_where_those_of_the_cpu_lead(by_triton):
         close(ours.params[name].cpu() - first[name], value - first[name], name, 0.02)  # Adam's first steps are signs
 
 
+def moving_start(config):
+    """With shared values that move them."""
+    gaussians, g = a_few(config), torch.Generator().manual_seed(3)
+    for name, parameter in getattr(gaussians.motion, "shared_parameters", {}).items():
+        if parameter.rate > 0:
+            gaussians.shared[name] += 0.05 * torch.randn(parameter.shape, generator=g)
+    return gaussians
+
+
+@pytest.mark.parametrize("kind", ["bases", *(slow(kind) for kind in ("splines", "marbles", "hexplane", "deformation"))])
+def test_gradients_and_steps_of_other_motion_models_are_those_of_the_cpu(kind, by_triton):
+    """Also of what their Gaussians share, which is one row a parameter."""
+    config = tiny("default")
+    config = replace(config, model=replace(config.model, kind=kind, knots=6, bases=3), iterations=0)
+    observations, found = seen(a_few(tiny("default"))), []
+    for device in ("cpu", "cuda" if ON_GPU else "cpu"):
+        trainer = Trainer(observations, None, config, start=moving_start(config), device=device)
+        trainer.run()
+        found.append((trainer, trainer.differentiate(0)[1]))
+        by_triton()
+    (_, right), (trainer, ours) = found
+    assert ours.values.keys() == right.values.keys()
+    for name, gradient in right.values.items():
+        close(ours.values[name], gradient, name, 2e-4)
+    assert ours.shared.keys() == right.shared.keys()
+    for name, gradient in right.shared.items():
+        close(ours.shared[name], gradient, name, 2e-4)
+
+    gaussians = trainer.gaussians
+    assert all(value.device == gaussians.device for value in gaussians.values.values())
+    learned, rates = getattr(gaussians.motion, "shared_parameters", {}), trainer.rates.of_shared(0, gaussians)
+    before = {name: value.clone() for name, value in gaussians.shared.items()}
+    trainer._optimize(trainer.state, ours)
+    for name, value in gaussians.shared.items():
+        if learned[name].rate > 0:  # the first step of Adam
+            expected = -rates[name].view_as(value) * torch.sign(ours.shared[name])
+            large = ours.shared[name].abs() > 1e-6
+            torch.testing.assert_close((value - before[name])[large], expected[large], rtol=1e-2, atol=1e-7, msg=name)
+            assert large.any()
+
+
 @pytest.mark.parametrize("flow_model", ["displacement", slow("affine")])
 def test_every_kernel_of_a_step_is_launched_on_the_device_of_its_tensors(flow_model, by_triton, monkeypatch):
     """Not on the one that happens to be the current one. The interpreter knows no devices, so the guard is counted instead."""

@@ -233,9 +233,7 @@ def _middle_out(count: int) -> list[int]:
     return order
 
 
-def _initialize_background(
-    observations: Observations, model: ModelConfig, config: InitConfig, rng: np.random.Generator
-) -> _First:
+def _initialize_background(observations: Observations, model: ModelConfig, config: InitConfig, rng: np.random.Generator) -> _First:
     """Unproject what lies outside the masks, every surface once: first what has trusted depth, then what is still missing.
 
     Borders that few frames saw have no trusted depth, and a guess renders far better there than a hole.

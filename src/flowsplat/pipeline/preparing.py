@@ -50,11 +50,30 @@ def prepare(source: str | Path, out: str | Path, config: RunConfig | None = None
         return prepare_folder(Path(source), out, config or RunConfig())
 
 
+def find_prepared(source: str | Path, out: str | Path, config: RunConfig) -> Path | None:
+    """Return the scene that ``prepare`` made of an input with these settings; None where it is not finished.
+
+    Nothing is written, so that any number of processes may read the same scene, also from a folder that is read-only.
+
+    Raises:
+        InputError: the input cannot be used.
+    """
+    source, out = Path(source), Path(out)
+    if not RunPaths(out).record_path.exists():
+        return None
+    folder, key = RunFolder(out), stage_key(_identify(source, config), *PRIORS.inputs(config.priors))
+    return folder.scene_path if folder.is_finished("prepare", key) else None
+
+
+def _identify(source: Path, config: RunConfig) -> str:
+    kind = kind_of_input(source)
+    return stage_key(kind, _scene_identity(source) if kind == "scene" else fingerprint(source, config.input))
+
+
 def prepare_folder(source: Path, out: Path, config: RunConfig, first: Callable[[RunFolder, Clip], None] | None = None) -> RunFolder:
     """As ``prepare``; ``first`` is called with the opened clip before anything is computed of it."""
     check(config)
-    kind = kind_of_input(source)
-    identity = stage_key(kind, _scene_identity(source) if kind == "scene" else fingerprint(source, config.input))
+    kind, identity = kind_of_input(source), _identify(source, config)
     is_new, clip = not RunPaths(out).record_path.exists(), None
     if kind == "scene":
         Scene(source)

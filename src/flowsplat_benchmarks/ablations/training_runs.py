@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from flowsplat.common.devices import pick_device
 from flowsplat.common.memory import peak_memory
@@ -94,7 +95,8 @@ def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
 
     Returns:
         ``protocol``, ``scene``, ``size``, ``tuned``, ``variant``, ``settings``, ``seed``, ``iterations``, ``cap``, ``flowsplat``
-        (``source_state``), ``test`` (``kind``, ``count``), ``psnr``, ``ssim``, ``lpips`` and ``moving`` (PSNR) of the held-out
+        (``source_state``), ``device`` (``cpu`` or ``cuda``), ``test`` (``kind``, ``count``), ``psnr``, ``ssim``, ``lpips`` and
+        ``moving`` (PSNR) of the held-out
         images with strict cameras, ``training_psnr``, ``flow_epe`` and ``flow_prior_epe`` (mean, pixels), ``gaussians``
         (``total``, ``active_mean``), ``page_bytes`` (of ``export --to html``) and ``image_seconds`` (by the clock, the median of
         the clip's own views), both not of ablations, ``seconds`` (``train`` by the clock, ``train_cpu`` of all cores,
@@ -113,7 +115,7 @@ def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
         "protocol": run.protocol, "scene": run.scene.case.scene, "size": [scene.width, scene.height],
         "tuned": run.scene.case.is_tuned, "variant": run.variant.name, "settings": run.variant.settings, "seed": run.config.seed,
         "iterations": run.config.iterations, "cap": run.config.gaussians or run.config.density.max_gaussians,
-        "flowsplat": source_state(),
+        "flowsplat": source_state(), "device": pick_device(run.scene.case.config.device).type,
         "test": {"kind": kind, "count": pick(tested, "count") or 0},
         **{name: pick(tested, name) for name in ("psnr", "ssim", "lpips")}, "moving": pick(tested, "moving", "psnr"),
         "training_psnr": pick(metrics, "training_frames", "psnr"),
@@ -154,6 +156,8 @@ def _train(run: TrainingRun, scene: Scene) -> tuple[SceneModel | PerFrameModel, 
         config = static_config(config)
         start = static_start(observations, tracks, config)
     gaussians = Trainer(observations, tracks, config, start=start, device=device).run()
+    if device.type == "cuda":
+        torch.cuda.synchronize()  # what is in its queue belongs to the seconds of training
     return scene_model(scene, gaussians, config), len(gaussians)
 
 

@@ -6,13 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from flowsplat.common.devices import DeviceName, pick_device
+from flowsplat.common.errors import InputError
 from flowsplat.scenes.ingest import open_clip
 from flowsplat_benchmarks.ablations.scenes import AblationScene, ablation_scenes, choose_scenes
 from flowsplat_benchmarks.ablations.training_runs import comparable, list_training_runs
 from flowsplat_benchmarks.models.lineup import LINEUP, choose_entrants
 from flowsplat_benchmarks.models.measure import measure_motion
 from flowsplat_benchmarks.models.report import write_report
-from flowsplat_benchmarks.models.times import list_heldout
+from flowsplat_benchmarks.models.times import MIN_FRAMES, list_heldout
 from flowsplat_benchmarks.resume import BenchmarkOptions, measure_jobs, results_in
 
 PROTOCOL = "models"
@@ -36,17 +38,23 @@ def run_models(
     iterations: int = ITERATIONS,
     again: bool = False,
     options: BenchmarkOptions | None = None,
+    device: DeviceName = "auto",
+    with_base: bool = True,
+    report_only: bool = False,
 ) -> Path:
     """Run or resume the models: one JSON a run, ``OUT/models.md`` and ``.html``, and an image of the first table.
 
     Args:
         root: the data root.
-        models: names of models; none = all. The base is always among them.
+        models: names of models; none = all.
         scenes: names of scenes.
         seeds: every model is trained once with each.
         iterations: frame-steps of every run.
         again: forget the figures of these runs that are in OUT; prepared scenes stay.
         options: how many at a time, and by what.
+        device: to train and measure on.
+        with_base: whether the base is always among the models; without it each run can be a call of its own.
+        report_only: run nothing, and show what is in OUT.
 
     Returns:
         path of the page, which shows all runs in OUT with these settings and steps.
@@ -54,9 +62,11 @@ def run_models(
     Raises:
         InputError: a name is not known, an input cannot be used, or the folder cannot be written.
     """
-    variants = [entrant.variant for entrant in choose_entrants(models)]
+    if not report_only:
+        pick_device(device)
+    variants = [entrant.variant for entrant in choose_entrants(models, with_base)]
     known = ablation_scenes(root, CLIP_SIDE)
-    wanted = [hold_out(scene) for scene in choose_scenes(root, known, scenes)]
+    wanted = [] if report_only else [hold_out(scene, device) for scene in choose_scenes(root, known, scenes)]
     runs = list_training_runs(PROTOCOL, wanted, variants, seeds, iterations, MAX_GAUSSIANS)
     jobs = [replace(run, measure_more=measure_motion).job(out) for run in runs]
 
@@ -69,15 +79,19 @@ def run_models(
         found, others = comparable(results, PROTOCOL, list(there.values()), every, iterations, MAX_GAUSSIANS)
         return write_report(out, found, failed, others)
 
-    return measure_jobs(jobs, out, report, "runs", again, options)
+    return measure_jobs(jobs, out, report, "runs", again, options, device=device)
 
 
-def hold_out(scene: AblationScene) -> AblationScene:
+def hold_out(scene: AblationScene, device: DeviceName = "auto") -> AblationScene:
     """Return a scene with the frames of ``times`` held out, of rendered scenes beside their cameras from aside.
 
     Raises:
-        InputError: the input cannot be used.
+        InputError: the input cannot be used, or is too short for a gap.
     """
     case = scene.case
-    frames = list_heldout(open_clip(case.source, case.config.input).num_frames)
-    return replace(scene, case=replace(case, config=replace(case.config, input=replace(case.config.input, holdout_frames=frames))))
+    count = open_clip(case.source, case.config.input).num_frames
+    frames = list_heldout(count)
+    if not frames:
+        raise InputError(f"{case.scene} has {count} frames, too few to hold any out: take a clip of {MIN_FRAMES} or more.")
+    options = replace(case.config.input, holdout_frames=frames)
+    return replace(scene, case=replace(case, config=replace(case.config, input=options, device=device)))

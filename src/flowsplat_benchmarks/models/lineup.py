@@ -51,8 +51,11 @@ LINEUP = (
 """All models, the base first."""
 
 
-def choose_entrants(names: Sequence[str]) -> list[Entrant]:
-    """Return the models of these names, or all of them; the base is always among them.
+def choose_entrants(names: Sequence[str], with_base: bool = True) -> list[Entrant]:
+    """Return the models of these names, or all of them.
+
+    Args:
+        with_base: whether the base is always among them.
 
     Raises:
         InputError: there is no such model.
@@ -61,4 +64,4 @@ def choose_entrants(names: Sequence[str]) -> list[Entrant]:
     for name in names:
         if name not in known:
             raise InputError(f"There is no model {name!r}: choose from {', '.join(known)}.")
-    return [entrant for entrant in LINEUP if not names or entrant is BASE or entrant.variant.name in names]
+    return [entrant for entrant in LINEUP if not names or (with_base and entrant is BASE) or entrant.variant.name in names]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -25,6 +26,7 @@ REMARKS = (
     f"{EVEN_DECIBELS} dB are no difference. Else a mean up to its spread is not separable; a larger one confirms that the other "
     "model is worse, or contradicts it. One run has no spread.",
 )
+DEVICES = {"cpu": "the CPU", "cuda": "a CUDA card"}
 EXPECTED = -1
 """The sign of the difference that is claimed of every other model."""
 COLUMNS = (
@@ -66,7 +68,9 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
         ]
     seeds = ", ".join(map(str, sorted({result["seed"] for result in results})))
     steps = ", ".join(f"{count:,}" for count in sorted({result["iterations"] for result in results}))
-    remarks = [*REMARKS, how_measured(results), f"Seeds {seeds}; {steps} frame-steps."] if results else []
+    devices = Counter(result["device"] for result in results)
+    trained = ", ".join(f"{count} on {DEVICES[device]}" for device, count in sorted(devices.items()))
+    remarks = [*REMARKS, how_measured(results), f"Seeds {seeds}; {steps} frame-steps. Runs: {trained}."] if results else []
     said = f"{len(verdicts)} models beside the series: {counts(verdicts)}." if verdicts else "Nothing is compared yet."
     return write_ablation_report(out, "models", TITLE, said, remarks, tables, failed, others)
 
@@ -119,9 +123,13 @@ def _describe(entrant: Entrant, found: Effect, scenes: Mapping[str, str], result
 
 
 def _time_factor(entrant: Entrant, results: Sequence[Result]) -> float | None:
-    """Return how many times as long as the series a model trains, on average over the runs that both have."""
-    own, base = (by_run(results, name, ("seconds", "train")) for name in (entrant.variant.name, BASE.variant.name))
-    return mean_of(own[run] / base[run] for run in own if base.get(run))
+    """Return how many times as long as the series a model trains, on average over the runs that both have on the same device."""
+    factors = []
+    for device in sorted({result["device"] for result in results}):
+        there = [result for result in results if result["device"] == device]
+        own, base = (by_run(there, name, ("seconds", "train")) for name in (entrant.variant.name, BASE.variant.name))
+        factors += [own[run] / base[run] for run in own if base.get(run)]
+    return mean_of(factors)
 
 
 def _both(value: float | None, inside: float | None, sign: bool = False) -> str:

@@ -10,6 +10,8 @@ END_LENGTH, END_SHARE = 3, 0.125
 """Frames that are held out at the end of the clip, and which share of it at most."""
 HELDOUT_SHARE = 0.3
 """Share of the frames that is held out at most, so that a clip is still learned."""
+MIN_FRAMES = 4
+"""Of a clip in which that leaves room for a gap."""
 END = "end"
 """What the frames at the end are called among the gaps."""
 
@@ -17,7 +19,8 @@ END = "end"
 def place_gaps(count: int) -> dict[str, list[int]]:
     """Return the held-out frames of a clip of ``count`` frames by the length of their gap (``"1"``, ``"3"``, ``"5"``) and ``END``.
 
-    Gaps are as far apart as they can be; a clip that is too short for a length has none of it.
+    Gaps are as far apart as they can be; a clip that is too short for a length has none of it, and one of fewer than
+    ``MIN_FRAMES`` has none at all.
 
     >>> place_gaps(40)
     {'1': [9], '3': [18, 19, 20], '5': [29, 30, 31, 32, 33], 'end': [37, 38, 39]}

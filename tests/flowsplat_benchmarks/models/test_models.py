@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
+import torch
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.files import lease
 from flowsplat.scenes import Scene
 from flowsplat_benchmarks.ablations import scenes, training_runs
 from flowsplat_benchmarks.ablations.scenes import ablation_scenes
@@ -14,7 +17,7 @@ from flowsplat_benchmarks.models import benchmark
 from flowsplat_benchmarks.models.lineup import LINEUP, choose_entrants
 from flowsplat_benchmarks.models.measure import measure_motion
 from flowsplat_benchmarks.models.report import write_report
-from flowsplat_benchmarks.models.times import END_LENGTH, GAP_LENGTHS, HELDOUT_SHARE, list_heldout, place_gaps
+from flowsplat_benchmarks.models.times import END_LENGTH, GAP_LENGTHS, HELDOUT_SHARE, MIN_FRAMES, list_heldout, place_gaps
 from tests.flowsplat_benchmarks.ablations.test_training_runs import call, refuse
 from tests.output.small import OTHERS, small_model
 
@@ -42,7 +45,8 @@ def figures(psnr):
 def result(model, psnr, scene="bear", seed=0, **changes):
     value = {
         "protocol": "models", "scene": scene, "size": [64, 48], "tuned": scene == "bear", "variant": model, "settings": "",
-        "seed": seed, "iterations": 1500, "cap": 100_000, "flowsplat": "0", "test": {"kind": "frames", "count": 3}, "psnr": psnr,
+        "seed": seed, "iterations": 1500, "cap": 100_000, "flowsplat": "0", "device": "cpu",
+        "test": {"kind": "frames", "count": 3}, "psnr": psnr,
         "ssim": 0.9, "lpips": None, "moving": psnr - 3, "training_psnr": psnr + 2, "flow_epe": None, "flow_prior_epe": 1.0,
         "gaussians": {"total": 1000, "active_mean": 500.0}, "page_bytes": 2_000_000, "image_seconds": 0.02,
         "seconds": {"train": 10.0 if model == "series" else 13.0, "train_cpu": 20.0, "evaluate": 1.0}, "peak_memory_gib": 1.0,
@@ -72,6 +76,17 @@ def test_the_tables_compare_with_the_series_and_list_every_clip(tmp_path):
     assert "models_x could not be run: it is torn" in text
     assert "left out here: 2" in text
     assert (tmp_path / "models.svg").exists()
+    assert "Runs: 6 on the CPU." in text
+
+
+def test_seconds_are_compared_on_one_device_only(tmp_path):
+    found = [result("series", 30.0), result("bases", 29.0)]
+    found += [result("series", 30.0, seed=1), result("bases", 29.0, seed=1, device="cuda")]
+    found[3]["seconds"]["train"] = 1.0
+    write_report(tmp_path, found, {})
+    text = (tmp_path / "models.md").read_text()
+    assert next(line for line in text.splitlines() if line.startswith("| bases")).rstrip(" |").endswith("1.30")
+    assert "Runs: 3 on the CPU, 1 on a CUDA card." in text
 
 
 def test_without_runs_the_page_says_so(tmp_path):
@@ -134,6 +149,48 @@ def test_it_continues(runs_root, tmp_path, monkeypatch, in_this_process, capsys)
     assert "splines: SplineGS" in text
     assert "left out here" not in text
     assert "no model 'x'" in refuse(capsys, "models", runs_root, "-o", tmp_path, "--models", "x")
+
+
+def test_a_run_can_be_a_command_of_its_own(runs_root, tmp_path, monkeypatch, in_this_process, capsys):
+    done = []
+
+    def measure(run, _):
+        done.append((run.variant.name, run.scene.case.config.device))
+        return result(run.variant.name, 30.0, run.scene.case.scene, run.config.seed, iterations=run.config.iterations)
+
+    monkeypatch.setattr(scenes, "prepare_scene", lambda _, folder: folder)
+    monkeypatch.setattr(training_runs, "measure", measure)
+    arguments = ("models", runs_root, "-o", tmp_path, "--scenes", "bear", "--seeds", "0", "--device", "cpu")
+    call(*arguments, "--models", "bases", "--no-base")
+    assert done == [("bases", "cpu")]
+    (tmp_path / "models.md").unlink()
+    call("models", runs_root, "-o", tmp_path, "--report-only")
+    assert len(done) == 1
+    assert "bases: Shape of Motion" in (tmp_path / "models.md").read_text()
+    call(*arguments, "--models", "series", "--no-base")
+    assert done[1:] == [("series", "cpu")]
+    assert "1 models beside the series" in (tmp_path / "models.md").read_text()
+    if not torch.cuda.is_available():
+        assert "cuda does not work here" in refuse(capsys, *arguments, "--models", "linear", "--device", "cuda")
+
+
+def test_a_clip_that_is_too_short_for_a_gap_is_refused(runs_root, monkeypatch):
+    assert not list_heldout(MIN_FRAMES - 1)
+    assert list_heldout(MIN_FRAMES)
+    tiny = next(scene for scene in ablation_scenes(runs_root, 32) if scene.case.scene == "tiny")
+    options = replace(tiny.case.config.input, max_frames=3)
+    short = replace(tiny, case=replace(tiny.case, config=replace(tiny.case.config, input=options)))
+    with pytest.raises(InputError, match="tiny has 3 frames, too few to hold any out: take a clip of 4 or more"):
+        benchmark.hold_out(short)
+
+
+def test_a_prepared_scene_is_read_without_a_lock(runs_root, tmp_path):
+    tiny = benchmark.hold_out(next(scene for scene in ablation_scenes(runs_root, 32) if scene.case.scene == "tiny"), "cpu")
+    path = tiny.prepare(tmp_path)
+    with lease(path.parent):
+        before = sorted((each, each.stat().st_mtime_ns) for each in tmp_path.rglob("*"))
+        assert tiny.prepare(tmp_path) == path
+        assert sorted((each, each.stat().st_mtime_ns) for each in tmp_path.rglob("*")) == before
 
 
 def test_rendered_scenes_hold_out_times_beside_their_cameras(runs_root):

@@ -67,7 +67,14 @@ def test_a_scene_with_true_priors_has_true_flow_across_its_gaps(scene):
 
 def test_what_is_sure_is_not_searched_again(scene, tmp_path):
     copy = Scene.create(
-        tmp_path / "copy", name="x", source="", width=SPEC.width, height=SPEC.height, timestamps=range(3), holdout=None, source_fps=1
+        tmp_path / "copy",
+        name="x",
+        source="",
+        width=SPEC.width,
+        height=SPEC.height,
+        timestamps=range(3),
+        holdout=None,
+        source_fps=1,
     )
     rng = np.random.default_rng(0)
     for i in range(3):
