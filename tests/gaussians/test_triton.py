@@ -24,6 +24,8 @@ from flowsplat.gaussians.camera_buffer import CAMERA, pack_moment
 from flowsplat.gaussians.culling import triton as cull_triton
 from flowsplat.gaussians.flow import triton as flow_triton
 from flowsplat.gaussians.slicing import triton
+from flowsplat.gaussians.slopes import reference as slopes_reference
+from flowsplat.gaussians.slopes import triton as slopes_triton
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 
@@ -254,6 +256,41 @@ def test_no_gaussians_have_no_features():
         assert len(features) == 0
 
 
+def test_slopes_in_the_image_match_their_oracle():
+    count, g = 90, torch.Generator().manual_seed(0)
+    view = camera()
+    values = {
+        "means": torch.rand(count, 3, generator=g) * torch.tensor([2.4, 1.8, 2]) - torch.tensor([1.2, 0.9, -1.0]),
+        "quats": torch.randn(count, 4, generator=g), "scales": 0.15 * torch.rand(count, 3, generator=g) + 0.02,
+        "opacities": 0.8 * torch.rand(count, generator=g) + 0.1,
+    }  # fmt: skip
+    values["means"][0] = torch.tensor([0.0, 0, -1])  # behind the camera
+    slopes, weights = torch.rand(count, 2, generator=g) - 0.5, torch.randn(count, 2, generator=g)
+    found = []
+    for slopes_of, dtype, device in ((slopes_reference, torch.float64, "cpu"), (slopes_triton, torch.float32, DEVICE)):
+        means, quats, scales, opacities = (value.to(device, dtype) for value in values.values())
+        leaf = slopes.to(device, dtype).requires_grad_()
+        projected = project(means, quats, scales, opacities, *view.tensors(dtype, device), view.width, view.height)
+        sliced = Slice(means, quats, scales, None, opacities, means, means, None, None, leaf)
+        seen = slopes_of.image_slopes(sliced, projected, view)
+        (seen * weights.to(seen)).sum().backward()
+        found.append([seen.detach().cpu().double(), leaf.grad.cpu().double()])
+    assert not found[1][0][0].any(), "what is behind the camera has none"
+    assert int(found[0][0].any(1).sum()) > count // 4
+    for name, exact, ours in zip(("slopes in the image", "gradient"), *found, strict=True):
+        assert_alike(name, ours, exact, 2e-4)
+
+
+def test_no_gaussians_have_no_slopes():
+    empty = torch.zeros(0, 3, device=DEVICE)
+    leaf = torch.zeros(0, 2, device=DEVICE, requires_grad=True)
+    sliced = Slice(empty, torch.zeros(0, 4, device=DEVICE), empty, None, empty[:, 0], empty, empty, None, None, leaf)
+    projected = Projected(empty[:, :2], empty, empty[:, 0], empty[:, :2], None, "triton")
+    seen = slopes_triton.image_slopes(sliced, projected, camera())
+    seen.sum().backward()
+    assert seen.shape == (0, 2)
+
+
 @pytest.mark.slow
 def test_every_kernel_compiles_for_gpus_that_are_not_there():
     kernels = compiled("""
@@ -262,6 +299,7 @@ from flowsplat.gaussians.camera_buffer import camera_numbers
 from flowsplat.gaussians.culling import triton as culling
 from flowsplat.gaussians.flow import triton as flow
 from flowsplat.gaussians.slicing import Slice, triton as slicing
+from flowsplat.gaussians.slopes import triton as slopes
 from flowsplat.splatting import Projected
 from tests.common.compiling import compiled
 from tests.gaussians.test_flow import camera
@@ -282,6 +320,8 @@ sliced = Slice(means, quats, scales, None, means[:, 0], colors, means, next_mean
 projected = Projected(means2d, means, means[:, 0], means2d, None, "triton")
 flow.blend_displacement(sliced, projected, camera()).sum().backward()
 flow.blend_affine(sliced, projected, camera(), camera()).sum().backward()
+sliced = replace(sliced, slopes=torch.rand(50, 2, requires_grad=True))
+slopes.image_slopes(sliced, projected, camera()).sum().backward()
 """)
     assert set(kernels) == {"_mark", "_collect", "_forward", "_backward"}
     assert all({"80", "90"} <= targets for targets in kernels.values())

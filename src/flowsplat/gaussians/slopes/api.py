@@ -25,8 +25,13 @@ def image_slopes(sliced: Slice, projected: Projected, camera: Camera) -> Tensor 
     """
     if sliced.slopes is None:
         return None
-    if devices.kernels_for(sliced.means) == "cpu" and sliced.covars is None:
+    kernels = devices.kernels_for(sliced.means) if sliced.covars is None else "reference"
+    if kernels == "cpu":
         from flowsplat.gaussians.slopes import cpu
 
         return cpu.image_slopes(sliced, projected, camera)
+    if kernels == "triton":
+        from flowsplat.gaussians.slopes import triton
+
+        return triton.image_slopes(sliced, projected, camera)
     return reference.image_slopes(sliced, projected, camera)

@@ -1,4 +1,4 @@
-"""Slopes in the image in plain torch, the oracle of ``cpu``; on a GPU it is what computes them."""
+"""Slopes in the image in plain torch: the oracle of ``cpu`` and ``triton``."""
 
 from __future__ import annotations
 

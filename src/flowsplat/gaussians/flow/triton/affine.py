@@ -17,58 +17,17 @@ from torch.autograd.function import once_differentiable
 from flowsplat.common.devices import upload
 from flowsplat.common.triton import device_of, rows_per_program
 from flowsplat.gaussians.camera_buffer import CAMERA, CX, CY, FX, FY, camera_numbers, to_camera, to_world, view_row
-from flowsplat.gaussians.flow.reference import FLOW_NEAR_PLANE
-from flowsplat.gaussians.flow.triton.vectors import load_vector, store_vector
 from flowsplat.gaussians.slicing import Slice
+from flowsplat.gaussians.triton.footprint import NEAR_CLIP, footprint, jacobian_row, tangents
+from flowsplat.gaussians.triton.vectors import load_vector, store_vector
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected
 from flowsplat.splatting.rules import EPS2D
-from flowsplat.splatting.triton.projection import CLAMP_MARGIN, rotation, rotation_gradient
+from flowsplat.splatting.triton.projection import rotation, rotation_gradient
 
 CHANNELS = 11
 """Color 3, depth, flow at the center of the image 2, B by rows 4, unseen."""
-NEAR_CLIP, BLUR_VARIANCE = tl.constexpr(FLOW_NEAR_PLANE), tl.constexpr(EPS2D)
-
-
-@triton.jit
-def _tangents(camera, x, y, z, width, height):
-    """1 / z and the tangents, held as the rasterizer holds them."""
-    fx, fy, cx, cy = tl.load(camera + FX), tl.load(camera + FY), tl.load(camera + CX), tl.load(camera + CY)
-    inverse = 1.0 / tl.where(z > NEAR_CLIP, z, NEAR_CLIP)
-    tx = tl.minimum(tl.maximum(x * inverse, (cx + width * CLAMP_MARGIN) / -fx), (cx - (width + width * CLAMP_MARGIN)) / -fx)
-    ty = tl.minimum(tl.maximum(y * inverse, (cy + height * CLAMP_MARGIN) / -fy), (cy - (height + height * CLAMP_MARGIN)) / -fy)
-    return inverse, tx, ty
-
-
-@triton.jit
-def _jacobian_row(camera, row: tl.constexpr, tangent, inverse):
-    """Row 0 or 1 of the derivative of the pixel with respect to the point in the world."""
-    scale = (tl.load(camera + FX) if row == 0 else tl.load(camera + FY)) * inverse
-    x, y, z = view_row(camera, row)
-    depth_x, depth_y, depth_z = view_row(camera, 2)
-    return scale * (x - tangent * depth_x), scale * (y - tangent * depth_y), scale * (z - tangent * depth_z)
-
-
-@triton.jit
-def _row_times(a, b, c, r00, r01, r02, r10, r11, r12, r20, r21, r22, s0, s1, s2):
-    """One row of J R S from that of J."""
-    return (
-        (a * r00 + b * r10 + c * r20) * s0, (a * r01 + b * r11 + c * r21) * s1, (a * r02 + b * r12 + c * r22) * s2
-    )  # fmt: skip
-
-
-@triton.jit
-def _footprint(means, quats, s0, s1, s2, camera, i, mask, width, height):
-    """The rows of L = J R S, and the point in camera axes."""
-    px, py, pz = load_vector(means, i, mask)
-    x, y, z = to_camera(camera, px, py, pz)
-    inverse, tx, ty = _tangents(camera, x, y, z, width, height)
-    r00, r01, r02, r10, r11, r12, r20, r21, r22, _, _, _, _, _ = rotation(quats, i, mask)
-    a, b, c = _jacobian_row(camera, 0, tx, inverse)
-    p0, p1, p2 = _row_times(a, b, c, r00, r01, r02, r10, r11, r12, r20, r21, r22, s0, s1, s2)
-    a, b, c = _jacobian_row(camera, 1, ty, inverse)
-    q0, q1, q2 = _row_times(a, b, c, r00, r01, r02, r10, r11, r12, r20, r21, r22, s0, s1, s2)
-    return p0, p1, p2, q0, q1, q2, x, y, z
+BLUR_VARIANCE = tl.constexpr(EPS2D)
 
 
 @triton.jit
@@ -92,9 +51,9 @@ def _forward(
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     inside = i < count
     s0, s1, s2 = load_vector(scales, i, inside)
-    p0, p1, p2, q0, q1, q2, _, _, _ = _footprint(means, quats, s0, s1, s2, cameras, i, inside, width, height)
+    p0, p1, p2, q0, q1, q2, _, _, _ = footprint(means, quats, s0, s1, s2, cameras, i, inside, width, height)
     later = cameras + CAMERA
-    n0, n1, n2, m0, m1, m2, x, y, z = _footprint(next_means, next_quats, s0, s1, s2, later, i, inside, width, height)
+    n0, n1, n2, m0, m1, m2, x, y, z = footprint(next_means, next_quats, s0, s1, s2, later, i, inside, width, height)
     front = z > NEAR_CLIP
     b00, b01, b10, b11, _, _, _ = _products(p0, p1, p2, q0, q1, q2, n0, n1, n2, m0, m1, m2)
     inverse = 1.0 / tl.where(front, z, 1.0)
@@ -128,7 +87,7 @@ def _footprint_gradient(
     fx, fy = tl.load(camera + FX), tl.load(camera + FY)
     px, py, pz = load_vector(means, i, mask)
     x, y, z = to_camera(camera, px, py, pz)
-    inverse, tx, ty = _tangents(camera, x, y, z, width, height)
+    inverse, tx, ty = tangents(camera, x, y, z, width, height)
     r00, r01, r02, r10, r11, r12, r20, r21, r22, w, qx, qy, qz, length = rotation(quats, i, mask)
     # Of the rows of J in the world, from R S.
     a0, b0 = r00 * s0 * p0 + r01 * s1 * p1 + r02 * s2 * p2, r00 * s0 * q0 + r01 * s1 * q1 + r02 * s2 * q2
@@ -146,8 +105,8 @@ def _footprint_gradient(
     wx, wy, wz = to_world(camera, dux * inverse, duy * inverse, dz)
     store_vector(d_means, i, tl.where(front, wx, 0.0), tl.where(front, wy, 0.0), tl.where(front, wz, 0.0), mask)
     # The gradient of R S is J^T times that of L.
-    ja, jb, jc = _jacobian_row(camera, 0, tx, inverse)
-    ka, kb, kc = _jacobian_row(camera, 1, ty, inverse)
+    ja, jb, jc = jacobian_row(camera, 0, tx, inverse)
+    ka, kb, kc = jacobian_row(camera, 1, ty, inverse)
     p0, p1, p2 = tl.where(front, p0, 0.0), tl.where(front, p1, 0.0), tl.where(front, p2, 0.0)
     q0, q1, q2 = tl.where(front, q0, 0.0), tl.where(front, q1, 0.0), tl.where(front, q2, 0.0)
     w00, w01, w02 = ja * p0 + ka * q0, ja * p1 + ka * q1, ja * p2 + ka * q2
@@ -174,8 +133,8 @@ def _backward(
     tl.store(d_depths + i, tl.load(row + 3, mask=inside, other=0.0), mask=inside)
     s0, s1, s2 = load_vector(scales, i, inside)
     later = cameras + CAMERA
-    p0, p1, p2, q0, q1, q2, _, _, _ = _footprint(means, quats, s0, s1, s2, cameras, i, inside, width, height)
-    n0, n1, n2, m0, m1, m2, _, _, z = _footprint(next_means, next_quats, s0, s1, s2, later, i, inside, width, height)
+    p0, p1, p2, q0, q1, q2, _, _, _ = footprint(means, quats, s0, s1, s2, cameras, i, inside, width, height)
+    n0, n1, n2, m0, m1, m2, _, _, z = footprint(next_means, next_quats, s0, s1, s2, later, i, inside, width, height)
     front = inside & (z > NEAR_CLIP)
     b00, b01, b10, b11, xx, xy, yy = _products(p0, p1, p2, q0, q1, q2, n0, n1, n2, m0, m1, m2)
     gu, gv = tl.load(row + 4, mask=front, other=0.0), tl.load(row + 5, mask=front, other=0.0)

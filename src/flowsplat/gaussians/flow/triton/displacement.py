@@ -17,8 +17,8 @@ from flowsplat.common.devices import upload
 from flowsplat.common.triton import device_of, rows_per_program
 from flowsplat.gaussians.camera_buffer import CX, CY, FX, FY, camera_numbers, to_camera, to_world
 from flowsplat.gaussians.flow.reference import FLOW_NEAR_PLANE
-from flowsplat.gaussians.flow.triton.vectors import load_vector, store_vector
 from flowsplat.gaussians.slicing import Slice
+from flowsplat.gaussians.triton.vectors import load_vector, store_vector
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected
 

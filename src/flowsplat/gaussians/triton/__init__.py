@@ -1,0 +1,1 @@
+"""What several of the Triton kernels of Gaussians call."""
