@@ -17,7 +17,7 @@ from typing import Literal
 from flowsplat.common.errors import InputError
 from flowsplat_benchmarks.roots import open_root, require_scenes
 
-TUNED = frozenset({"workshop", "bear", "train", "rubberwhale"})
+TUNED = frozenset({"bear", "camel", "train", "workshop", "garden", "street", "market", "rubberwhale"})
 """Scenes on which settings were chosen; all others are only reported."""
 TRUE_FLOW = "flow10.flo"
 
