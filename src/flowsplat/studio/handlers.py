@@ -171,12 +171,16 @@ class ClipHandler(Handler):
         length = self.request.headers.get("Content-Length", "")
         size = int(length) if re.fullmatch(r"\d{1,15}", length) else None
         try:
-            self._upload = self.studio.uploads.begin(self.get_query_argument("name", ""), size)
+            self._upload = self.studio.uploads.begin(self._name(), size)
         except Refusal as refusal:
             self.refuse(refusal.status, str(refusal))
             return
         connection: Any = self.request.connection
         connection.set_max_body_size(self.studio.uploads.max_bytes + 1)
+
+    def _name(self) -> str:
+        """Return what the clip is called, as it was sent: tornado would make another name of one that holds control characters."""
+        return b"".join(self.request.query_arguments.get("name", [])[-1:]).decode(errors="replace")
 
     def data_received(self, chunk: bytes) -> None:
         """Keep a piece."""

@@ -68,6 +68,7 @@ def describe(project: Project, standings: StandingReader, run_options: Sequence[
         standing = standings.read(project.run, project.log, task["since"], task.get("expected") or {})
         found["standing"] = {
             "says": SAYS[standing.stage], "line": standing.line[:300], "share": standing.share, "left": standing.seconds_left,
+            "late": standing.is_late,
         }  # fmt: skip
     elif task is not None:
         found["exporting"] = task["what"].removeprefix("export ")

@@ -25,6 +25,10 @@ SAYS = {
 MIN_SHARE_LEFT = 0.1
 """Of the time that was expected of a stage: it is never said to be shorter than that before it ends. Chosen by eye."""
 
+LATE_FACTOR, LATE_SECONDS = 1.8, 10.0
+"""A stage may take so many times what was expected, and so much more, before no time is told any more. The first is what
+``pipeline.speed`` leaves open before anything was measured."""
+
 _BAR = re.compile(r"(?P<label>[^:]{1,80}): (?P<done>[0-9.e+]{1,12}) of (?P<total>[0-9.e+]{1,12})(?P<rest>,.*|\s.*|)")
 _ORBIT = re.compile(r"Orbit: ([0-9.]{1,8}) degrees to either side")
 
@@ -37,13 +41,15 @@ class Standing:
         stage: one of ``STAGES``.
         line: what it said last.
         share: of its time that has passed, 0 to 1; None where no time was expected.
-        seconds_left: until all is done; likewise.
+        seconds_left: until all is done; likewise, and None where a stage has taken longer than can be explained.
+        is_late: whether it has.
     """
 
     stage: str
     line: str
     share: float | None
     seconds_left: float | None
+    is_late: bool = False
 
 
 class StandingReader:
@@ -67,10 +73,11 @@ class StandingReader:
         times["cameras"] += expected.get("compiling", 0.0)
         done = _read_share(line) if stage == "train" else None
         spent = time.time() - began
+        is_late = done is None and spent > LATE_FACTOR * times[stage] + LATE_SECONDS
         left = times[stage] * (1 - done) if done is not None else max(times[stage] - spent, MIN_SHARE_LEFT * times[stage])
         left += sum(times[name] for name in STAGES[STAGES.index(stage) + 1 :])
         whole = max(sum(times.values()), 1e-6)
-        return Standing(stage, line, min(max(1 - left / whole, 0.0), 0.99), left)
+        return Standing(stage, line, min(max(1 - left / whole, 0.0), 0.99), None if is_late else left, is_late)
 
 
 def _find_stage(run: RunPaths) -> str:

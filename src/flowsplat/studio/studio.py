@@ -54,6 +54,7 @@ class Studio:
                 self._begin(project, what)
             except InputError as error:
                 project.record["end"] = {"what": what, "state": "failed", "message": str(error)}
+                project.save()
         for upload in [upload for upload in self.uploads.under_way if upload.is_silent]:
             upload.close()
 

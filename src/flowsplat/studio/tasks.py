@@ -28,6 +28,9 @@ LINE_SECONDS = 2
 KILL_SECONDS = 10.0
 """Seconds in which a process that is killed has to be gone."""
 
+PROGRAM = (sys.executable, "-m", "flowsplat.cli")
+"""What ``flowsplat`` is on a command line."""
+
 _INTERRUPTED = {130, 128 + signal.SIGTERM, -signal.SIGTERM, -signal.SIGINT}
 _CUT_OFF = "It was cut off before it was done: was the computer switched off? Go on, and it continues where it was."
 
@@ -76,7 +79,7 @@ class Tasks:
                 log.write(f"$ {shlex.join(words)}\n".encode())
                 log.flush()
                 process = subprocess.Popen(
-                    [sys.executable, "-m", "flowsplat.cli", *words[1:]], stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+                    [*PROGRAM, *words[1:]], stdin=subprocess.DEVNULL, stdout=log, stderr=log,
                     start_new_session=True, env={**os.environ, LINES_VARIABLE: str(LINE_SECONDS), "COLUMNS": "200"},
                 )  # fmt: skip
         except OSError as error:

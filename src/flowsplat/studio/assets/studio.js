@@ -272,12 +272,14 @@ function drawProgress() {
   const working = state === "running" || state === "stopping";
   $("progress-title").textContent = state === "waiting" ? "It begins when the scene before it is ready" : state === "stopping"
     ? "Stopping: what is done so far is kept" : working && standing ? standing.says : state === "failed" ? "It did not work" : "Stopped";
-  $("preview").hidden = !project.preview;
-  if (project.preview) show($("preview"), project.preview);
+  const image = project.preview || project.poster;
+  $("preview").hidden = !image;
+  if (image) show($("preview"), image);
   $("bar").hidden = !working;
   if (standing && standing.share !== null) $("bar").value = standing.share;
   else $("bar").removeAttribute("value");
-  $("left").textContent = working && standing && standing.left !== null ? `${about(standing.left)} left` : "";
+  $("left").textContent = !working || !standing ? "" : standing.left !== null ? `${about(standing.left)} left`
+    : standing.late ? "This takes longer than expected." : "";
   $("left").hidden = !$("left").textContent;
   $("line").textContent = working && standing ? standing.line : "";
   $("stop").hidden = !(state === "running" || state === "waiting");
