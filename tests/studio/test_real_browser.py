@@ -25,6 +25,7 @@ OPTIONS = "--train.iterations 20 --render.paths input --no-refine-poses --render
 """A scene of a minute: that it is good is no matter here."""
 PATIENCE = 420_000
 """Milliseconds for a whole run: kernels may have to be compiled."""
+COOKIE = "(() => { try { return document.cookie; } catch (error) { return error.name; } })()"
 DESKTOP, PHONE = {"width": 1100, "height": 900}, {"width": 390, "height": 844}
 
 
@@ -134,9 +135,7 @@ def test_from_an_empty_page_to_a_scene(chromium, tmp_path, clip, is_interrupted)
         frame = wait(page, lambda: next((each for each in page.frames if "/export/" in each.url), None))
         assert plays(page, frame)
         assert frame.evaluate("origin") == "null", "it reaches nothing of the studio"
-        assert (
-            frame.evaluate("(() => { try { return document.cookie; } catch (error) { return error.name; } })()") == "SecurityError"
-        )
+        assert frame.evaluate(COOKIE) == "SecurityError"
         with page.expect_download() as download:
             page.click("text=Download it")
         saved = tmp_path / "mine.html"

@@ -17,6 +17,8 @@ from flowsplat.pipeline.config import RunConfig, check, preset
 
 PRESETS = ("fast", "default", "high", "paper")
 """In the order of the page."""
+LARGE = "default"
+"""One whose frames are as large as those of any."""
 
 Share = Annotated[float, Meta(ge=0, le=1)]
 Second = Annotated[float, Meta(ge=0, le=1e6)]
@@ -70,9 +72,13 @@ def read_choices(value: Any) -> Choices:
     return found
 
 
-def list_cut(choices: Choices) -> list[str]:
-    """Return the options of ``flowsplat run`` that tell which frames are used, and how well."""
-    arguments = ["--preset", choices["preset"]]
+def list_cut(choices: Choices, preset: str | None = None) -> list[str]:
+    """Return the options of ``flowsplat run`` that tell which frames are used, and how well.
+
+    Args:
+        preset: another one than the chosen one.
+    """
+    arguments = ["--preset", preset or choices["preset"]]
     for option in ("start", "end"):
         value = choices[option]
         if value is not None:

@@ -22,7 +22,7 @@ from flowsplat.pipeline.speed import COMPILING_SECONDS, Speed, TimeEstimate, est
 from flowsplat.priors.flow import dis_estimator
 from flowsplat.priors.prompts import cut_prompts, parse_prompts
 from flowsplat.scenes.bars import CroppedClip
-from flowsplat.scenes.clip import Clip, InputOptions, choose_working_size
+from flowsplat.scenes.clip import Clip, InputOptions, choose_working_size, resize_image
 from flowsplat.scenes.formats.video import VideoClip
 from flowsplat.scenes.ingest import kind_of_input, open_clip
 from flowsplat.studio.choices import PRESETS, Choices, list_cut, list_places, read_config
@@ -76,6 +76,11 @@ class OpenClip:
         start = self._first_second()
         return {i: round(start + float(self.clip.timestamps[i]), 4) for i in self.train_frames}
 
+    def move(self, path: Path) -> None:
+        """Its file lies elsewhere now."""
+        video = replace(self._video, path=path, source=str(path), audio=path if self._video.audio else None)
+        self.clip = replace(self.clip, whole=video, source=str(path)) if isinstance(self.clip, CroppedClip) else video
+
     def _first_second(self) -> float:
         return float(self._video.index.seconds[self._video.numbers[0]] - self._video.index.seconds[0])
 
@@ -115,6 +120,19 @@ class OpenClip:
         return found
 
 
+class _Resized:
+    """A clip whose frames have another size (``prompts.ClipFrames``)."""
+
+    def __init__(self, opened: OpenClip, options: InputOptions):
+        self._opened = opened
+        (self.width, self.height), _ = choose_working_size(opened.width, opened.height, options, opened.clip.name)
+        self.num_frames = opened.num_frames
+        self.train_frames, self.heldout_frames = opened.train_frames, opened.heldout_frames
+
+    def frame(self, i: int) -> np.ndarray:
+        return resize_image(self._opened.frame(i), (self.width, self.height))
+
+
 class Clips:
     """The clips that are open, those that were asked for last."""
 
@@ -129,9 +147,12 @@ class Clips:
             if key in self._open:
                 self._open.move_to_end(key)
                 return self._open[key]
-        found = OpenClip(path, options)
+        return self.keep(path, options, OpenClip(path, options))
+
+    def keep(self, path: Path, options: InputOptions, found: OpenClip) -> OpenClip:
+        """Remember one that was opened."""
         with self._lock:
-            self._open[key] = found
+            self._open[str(path), repr(options)] = found
             while len(self._open) > MAX_OPEN_CLIPS:
                 self._open.popitem(last=False)
         return found
@@ -180,7 +201,7 @@ def look(opened: OpenClip, choices: Choices, run_options: Sequence[str]) -> Look
     """
     estimates, expected = {}, {}
     for name in PRESETS:
-        config = read_config([*run_options, *list_cut({**choices, "preset": name})])  # type: ignore[typeddict-item]
+        config = read_config([*run_options, *list_cut(choices, name)])
         seconds, estimate = estimate_run(opened.clip, config)
         estimates[name] = estimate
         if name == choices["preset"]:
@@ -206,22 +227,24 @@ def estimate_run(clip: Clip, config: RunConfig) -> tuple[dict[str, float], TimeE
         return expected, speed.estimate(reference)
 
 
-def draw_masks(opened: OpenClip, choices: Choices, frame: int) -> tuple[bytes, list[float]]:
+def draw_masks(opened: OpenClip, options: InputOptions, choices: Choices, frame: int) -> tuple[bytes, list[float]]:
     """Return what the clicks on one frame mean: an image of colors on nothing (PNG with alpha), and the share of each object.
 
     Args:
-        opened: the clip with this cut.
+        opened: the clip with this cut, at this size or a larger one.
+        options: say how large a run takes it.
 
     Raises:
         InputError: a click cannot be.
     """
     words = list_places({**choices, "contacts": []})
     config = read_config(words).priors
+    clip = _Resized(opened, options)
     prompts = [
-        each for each in parse_prompts(config.mask_click, config.mask_box, opened, config.mask_negative) if each.frame == frame
+        each for each in parse_prompts(config.mask_click, config.mask_box, clip, config.mask_negative) if each.frame == frame
     ]
-    masks = cut_prompts(opened, prompts, dis_estimator)
-    drawn = np.zeros((opened.height, opened.width, 4), np.uint8)
+    masks = cut_prompts(clip, prompts, dis_estimator)
+    drawn = np.zeros((clip.height, clip.width, 4), np.uint8)
     shares = [0.0] * len(choices["objects"])
     numbers = [k for k, each in enumerate(choices["objects"]) if each["clicks"]]
     for prompt, mask in list(zip(prompts, masks, strict=True))[::-1]:
@@ -239,16 +262,17 @@ def _encode_with_alpha(image: np.ndarray) -> bytes:
     return bytes(data.tobytes())
 
 
-def check_clip(path: Path, poster: Path) -> None:
-    """Refuse a file that no run could begin with, and write an image of it.
+def check_clip(path: Path, options: InputOptions, poster: Path) -> OpenClip:
+    """Return a clip, once it is certain that a run could begin with it, and write an image of it.
 
     Raises:
         InputError: why it is refused, with the name of the file alone.
     """
     try:
-        opened = OpenClip(path, InputOptions())
+        opened = OpenClip(path, options)
         middle = opened.train_frames[len(opened.train_frames) // 2]
         image = shrink_to_page(opened.frame(middle), POSTER_WIDTH)
     except InputError as error:
         raise InputError(str(error).replace(str(path), path.name)) from error
     write_bytes(poster, encode(image, FRAME_QUALITY))
+    return opened

@@ -22,7 +22,7 @@ from flowsplat.common.errors import InputError, one_line
 from flowsplat.images.colors import object_color
 from flowsplat.images.html import encode
 from flowsplat.output.viewer.guard import Guard
-from flowsplat.studio.choices import PRESETS, Choices, list_cut, read_choices, read_config
+from flowsplat.studio.choices import LARGE, PRESETS, Choices, first_choices, list_cut, read_choices, read_config
 from flowsplat.studio.clips import FRAME_QUALITY, Looks, OpenClip, check_clip, draw_masks, look
 from flowsplat.studio.project import Project
 from flowsplat.studio.results import SERVED, pack_folder
@@ -202,9 +202,12 @@ class ClipHandler(Handler):
         try:
             upload.finish()
             poster = upload.place.parent / ".poster.jpg"  # no clip can be called so
-            await self.aside(check_clip, upload.place, poster)
+            options = read_config([*self.studio.run_options, *list_cut(first_choices(), LARGE)]).input
+            opened = await self.aside(check_clip, upload.place, options, poster)
             project = Project.create(self.studio.folder, upload.name, upload.place)
             poster.rename(project.poster)
+            opened.move(project.clip)
+            self.studio.clips.keep(project.clip, options, opened)
             self.studio.add(project)
         finally:
             self._drop()
@@ -243,10 +246,9 @@ class ProjectHandler(Handler):
 class ClipReader(Handler):
     """What needs the clip of a project as it is cut."""
 
-    async def open(self, project: Project, choices: Choices, preset: str | None = None) -> OpenClip:
-        """Return it as a preset takes it; None = the chosen one."""
-        words = [*self.studio.run_options, *list_cut({**choices, "preset": preset or choices["preset"]})]  # type: ignore[typeddict-item]
-        options = read_config(words).input
+    async def open(self, project: Project, choices: Choices) -> OpenClip:
+        """Return it as large as any preset takes it: which frames there are does not depend on the size."""
+        options = read_config([*self.studio.run_options, *list_cut(choices, LARGE)]).input
         try:
             return await self.aside(self.studio.clips.open, project.clip, options)
         except InputError as error:
@@ -255,7 +257,7 @@ class ClipReader(Handler):
     async def look(self, project: Project) -> Looks:
         """Return what there is to know before a run."""
         choices = project.choices
-        return await self.aside(look, await self.open(project, choices, "default"), choices, self.studio.run_options)
+        return await self.aside(look, await self.open(project, choices), choices, self.studio.run_options)
 
 
 class ChoicesHandler(ClipReader):
@@ -265,7 +267,7 @@ class ChoicesHandler(ClipReader):
         """Set it; what cannot be is refused, and what was chosen before stays."""
         project = self.studio.project(name)
         choices = read_choices(self.body())
-        await self.open(project, choices, "default")
+        await self.open(project, choices)
         self.studio.choose(project, choices)
         self.answer(self.studio.describe(project))
 
@@ -294,7 +296,7 @@ class FrameHandler(ClipReader):
     async def get(self, name: str, number: str) -> None:
         """Send it as JPEG."""
         project = self.studio.project(name)
-        opened = await self.open(project, project.choices, "default")
+        opened = await self.open(project, project.choices)
         image = await self.aside(opened.frame, int(number))
         self.set_header("Content-Type", "image/jpeg")
         self.finish(await self.aside(encode, image, FRAME_QUALITY))
@@ -308,7 +310,8 @@ class MasksHandler(ClipReader):
         project = self.studio.project(name)
         choices = project.choices
         opened = await self.open(project, choices)
-        image, shares = await self.aside(draw_masks, opened, choices, int(number))
+        options = read_config([*self.studio.run_options, *list_cut(choices)]).input
+        image, shares = await self.aside(draw_masks, opened, options, choices, int(number))
         self.answer({"image": f"data:image/png;base64,{base64.b64encode(image).decode()}", "shares": shares})
 
 

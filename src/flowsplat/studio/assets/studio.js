@@ -34,7 +34,15 @@ let wanted = 0; // counts questions whose late answers are not wanted any more
 
 // -- asking
 
-async function ask(method, path, body) {
+const pending = new Set(); // what was asked and not answered yet
+
+function ask(method, path, body) {
+  const asked = askNow(method, path, body).finally(() => pending.delete(asked));
+  pending.add(asked);
+  return asked;
+}
+
+async function askNow(method, path, body) {
   let answer;
   try {
     answer = await fetch(path, { method, body: body === undefined ? undefined : JSON.stringify(body) });
@@ -366,10 +374,14 @@ $("stop").addEventListener("click", () => act("scene-error", "stop"));
 $("again").addEventListener("click", () => act("scene-error", "copy"));
 $("delete").addEventListener("click", () => { $("sure").hidden = false; });
 $("keep").addEventListener("click", () => { $("sure").hidden = true; });
-$("really").addEventListener("click", () => attempt("scene-error", async () => {
-  await ask("DELETE", `/api/projects/${project.id}`);
-  location.hash = "";
-}));
+$("really").addEventListener("click", async () => {
+  clearTimeout(timer);
+  wanted += 1;
+  await Promise.allSettled([...pending]); // nothing is asked about what is gone
+  const gone = await attempt("scene-error", () => ask("DELETE", `/api/projects/${project.id}`));
+  if (gone) location.hash = "";
+  else again();
+});
 $("copy-command").addEventListener("click", async () => {
   try {
     await navigator.clipboard.writeText(project.command);
