@@ -22,7 +22,7 @@ from msgspec import Meta
 from typing_extensions import NotRequired, TypedDict
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import make_folder, read_json, write_json
+from flowsplat.common.files import make_folder, plain_name, read_json, write_json
 from flowsplat.common.files.json_file import Text, Versioned
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.studio.choices import Choices, first_choices
@@ -61,11 +61,12 @@ class ProjectFile(TypedDict):
 
     version: int
     name: Text
-    file: Text
     made: Number
     choices: Choices
     ran: NotRequired[Choices | None]
     waiting: list[Text]
+    asked: NotRequired[Number]
+    expected: NotRequired[dict[str, Number]]
     task: NotRequired[TaskFile | None]
     end: NotRequired[EndFile | None]
 
@@ -90,6 +91,7 @@ class Project:
         if version != VERSION:
             raise InputError(f"{path} is of another version of flowsplat ({version}).")
         self.record: Any = read_json(path, ProjectFile)
+        plain_name(self.record["name"], f"{path}: the clip's name")
 
     @staticmethod
     def create(studio: Path, name: str, received: Path) -> Project:
@@ -201,7 +203,7 @@ def _write_new(folder: Path, name: str, choices: Choices) -> Project:
     write_json(
         folder / RECORD,
         {
-            "version": VERSION, "name": name, "file": f"clip/{name}", "made": time.time(), "choices": choices, "ran": None,
+            "version": VERSION, "name": name, "made": time.time(), "choices": choices, "ran": None,
             "waiting": [], "task": None, "end": None,
         },
     )  # fmt: skip
