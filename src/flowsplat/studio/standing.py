@@ -30,7 +30,7 @@ LATE_FACTOR, LATE_SECONDS = 1.8, 10.0
 ``pipeline.speed`` leaves open before anything was measured."""
 
 _BAR = re.compile(r"(?P<label>[^:]{1,80}): (?P<done>[0-9.e+]{1,12}) of (?P<total>[0-9.e+]{1,12})(?P<rest>,.*|\s.*|)")
-_ORBIT = re.compile(r"Orbit: ([0-9.]{1,8}) degrees to either side")
+_ORBIT = re.compile(r"Orbit: ([0-9]{1,4}(?:\.[0-9]{1,4})?) degrees to either side")
 
 
 @dataclass(frozen=True)
@@ -119,4 +119,4 @@ def read_orbits(log: Path) -> list[float]:
         text = log.read_text(encoding="utf-8", errors="replace")
     except OSError:
         return []
-    return [float(found) for found in _ORBIT.findall(text) if found.count(".") <= 1]
+    return [float(found) for found in _ORBIT.findall(text)]
