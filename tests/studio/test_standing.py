@@ -19,11 +19,12 @@ def record(folder: Path, *stages: str, priors: tuple[str, ...] = ()) -> RunPaths
     finished = {name: {"key": "x", "seconds": {}} for name in stages}
     values = {"input": "x", "fingerprint": "x", "config": {}, "started": {}, "stages": finished, "wall_seconds": 0.0}
     write_json(folder / "run.json", values)
-    write_json(folder / "scene" / "scene.json", {"priors": dict.fromkeys(priors, {})})
+    write_json(folder / "scene" / "scene.json", {"priors": {prior: {} for prior in priors}})
     return RunPaths(folder)
 
 
 def read(run: RunPaths, line: str = "", since: float | None = None, expected: dict[str, float] = EXPECTED):
+    run.path.mkdir(exist_ok=True)
     log = run.path / "run.log"
     log.write_text(f"$ flowsplat run x\n{line}\n")
     return StandingReader().read(run, log, time.time() if since is None else since, expected)
@@ -72,6 +73,6 @@ def test_what_an_earlier_process_said_is_not_what_this_one_says(tmp_path):
 def test_orbits_of_all_runs_are_found_in_order(tmp_path):
     log = tmp_path / "run.log"
     text = "Orbit: 3 degrees to either side; 4% of what it shows there is a guess.\nSwinging camera: 9 degrees to either side.\n"
-    log.write_text(f"{text}Orbit: 7.5 degrees to either side\nOrbit: ... degrees to either side\n")
+    log.write_text(f"{text}Orbit: 7.5 degrees to either side\nOrbit: . degrees to either side\nOrbit: ... degrees to either side\n")
     assert read_orbits(log) == [3.0, 7.5]
     assert read_orbits(tmp_path / "none") == []
