@@ -64,7 +64,7 @@ class StandingReader:
         Args:
             expected: seconds of each stage, and of compiling before that.
         """
-        stage, lines = _find_stage(run), read_last_lines(log)
+        stage, lines = _find_stage(run, since), read_last_lines(log)
         line = lines[-1] if lines else "Starting"
         began = self._begun.setdefault((stage, since), since if stage == STAGES[0] else time.time())
         if not expected:
@@ -80,15 +80,18 @@ class StandingReader:
         return Standing(stage, line, min(max(1 - left / whole, 0.0), 0.99), None if is_late else left, is_late)
 
 
-def _find_stage(run: RunPaths) -> str:
+def _find_stage(run: RunPaths, since: float) -> str:
+    """Return the stage that works; the first as long as the record is that of an earlier process."""
     try:
+        if run.record_path.stat().st_mtime < since:
+            return STAGES[0]
         finished = set(read_json(run.record_path, RunFile)["stages"])
         if "prepare" not in finished:
             priors = read_json(run.scene_path / "scene.json").get("priors", {})
             return "priors" if "cameras" in priors else "cameras"
         return "rest" if "train" in finished else "train"
-    except (InputError, AttributeError):
-        return "cameras"
+    except (InputError, AttributeError, OSError):
+        return STAGES[0]
 
 
 def _read_share(line: str) -> float | None:

@@ -283,6 +283,7 @@ function drawProgress() {
   const image = project.preview || project.poster;
   $("preview").hidden = !image;
   if (image) show($("preview"), image);
+  $("preview-says").hidden = !project.preview;
   $("bar").hidden = !working;
   if (standing && standing.share !== null) $("bar").value = standing.share;
   else $("bar").removeAttribute("value");
@@ -331,9 +332,10 @@ function drawResults(results) {
   $("videos-box").hidden = !results.videos.length;
   replace($("exports"), results.exports.filter((each) => each.name !== "html").map((each) => {
     const busy = project.exporting === each.name || project.waiting.includes(`export ${each.name}`);
-    return make("li", {}, make("span", { class: "about" }, each.title, make("small", {}, each.says), make("small", {}, make("code", {}, each.command))),
+    return make("li", {}, make("span", { class: "about" }, each.title, make("small", {}, each.says)),
       each.link ? make("a", { class: "button", href: each.link.startsWith("/files/") ? `${each.link}&download=1` : each.link, download: "" }, "Download")
-        : make("button", { type: "button", disabled: busy, onclick: () => exportTo(each.name) }, busy ? "Being made ..." : "Make it"));
+        : make("button", { type: "button", disabled: busy, onclick: () => exportTo(each.name) }, busy ? "Being made ..." : "Make it"),
+      make("code", {}, each.command));
   }));
   say("export-error", project.message && project.failed !== "run" ? project.message : "");
 }
@@ -480,6 +482,7 @@ async function keepCut() {
   project.choices = {
     ...before, start: from > 0.005 ? Number(from.toFixed(3)) : null, end: to < looks.duration - 0.005 ? Number(to.toFixed(3)) : null,
   };
+  $("cut-length").textContent = "Looking ...";
   if (await save("cut-error")) await lookAt();
   else {
     project.choices = before;
