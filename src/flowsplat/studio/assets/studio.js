@@ -307,6 +307,10 @@ function drawResults(results) {
     if (!frameOf || frameOf.getAttribute("src") !== results.page) {
       place.replaceChildren(make("iframe", { src: results.page, title: "The scene", allow: "fullscreen" }));
     }
+  } else if (making && results.videos.length) {
+    if (!place.querySelector("video")) {
+      place.replaceChildren(make("video", { autoplay: true, muted: true, loop: true, playsInline: true, src: results.videos[0].link }));
+    }
   } else place.replaceChildren();
   say("player-wait", results.page ? "" : making ? "The page that plays it is being made ..." : "");
   const links = [];
@@ -320,8 +324,8 @@ function drawResults(results) {
   if (results.priors) links.push(make("a", { class: "button", href: results.priors, target: "_blank", rel: "noopener" }, "What was found"));
   replace($("result-links"), links);
   const { orbit } = results;
-  say("orbit", orbit ? `The camera can go ${orbit.now}° to either side before it shows guesses${orbit.before !== null
-    && orbit.before !== orbit.now ? `; the last time it was ${orbit.before}°` : ""}.` : "");
+  say("orbit", orbit ? `The camera can go ${orbit.now}° to either side before it shows guesses${orbit.before === null ? ""
+    : orbit.before === orbit.now ? ", as the last time" : `; the last time it was ${orbit.before}°`}.` : "");
   replace($("hints"), results.hints.map((hint) => make("div", { class: "hint" },
     make("p", {}, `How far away object ${hint.number} is, is a guess. One click where it touches the ground makes it sure.`),
     make("p", { class: "row" }, make("button", { type: "button", onclick: () => showHint(hint) }, "Show me where that may be")))));
