@@ -57,7 +57,7 @@ COMPILE := uv pip compile --quiet --universal --generate-hashes --no-header --no
 
 lock:
 	printf 'hatchling\neditables\nuv\n' | $(COMPILE) --extra dev -c constraints.txt pyproject.toml - -o requirements.lock
-	printf 'hatchling\neditables\n' | $(COMPILE) --extra view --no-emit-package triton -c requirements.lock pyproject.toml - -o requirements.view.lock
+	printf 'hatchling\neditables\n' | $(COMPILE) --extra view --extra studio --no-emit-package triton -c requirements.lock pyproject.toml - -o requirements.view.lock
 	echo uv | $(COMPILE) -c requirements.lock - -o requirements.uv.lock
 
 clean:

@@ -23,7 +23,7 @@ MAY_IMPORT = {
     "scenes": FIRST,
     "priors": (*FIRST, "scenes"),
 }
-for name in ("gaussians", "training", "evaluation", "output", "pipeline", "batch", "cli"):
+for name in ("gaussians", "training", "evaluation", "output", "pipeline", "batch", "studio", "cli"):
     MAY_IMPORT[name] = tuple(MAY_IMPORT)
 # What stands in for operators of gsplat: nothing of ours needs it.
 MAY_IMPORT["gsplat_ops"] = (*FIRST, "splatting")

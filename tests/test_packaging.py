@@ -30,7 +30,7 @@ def test_the_lock_of_those_who_only_use_it_names_the_same():
     assert all(part.values())
     versions = {name.partition("==")[0] for name in part}
     dependencies = (ROOT / "pyproject.toml").read_text().partition("\ndependencies = [")[2].partition("\n]")[0]
-    wanted = {*re.findall(r'"([\w-]+)>=', dependencies), "viser"}
+    wanted = {*re.findall(r'"([\w-]+)>=', dependencies), "viser", "tornado"}
     assert wanted - versions == {"torch"}
     assert not versions & {"pytest", "ruff", "mypy", "playwright"}
 

@@ -51,6 +51,11 @@ from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.ingest import ingest, open_clip
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
+from flowsplat.studio.choices import first_choices
+from flowsplat.studio.project import Project
+from flowsplat.studio.results import describe as describe_project
+from flowsplat.studio.standing import StandingReader
+from flowsplat.studio.tasks import Tasks
 from flowsplat.training.checkpoint import load_checkpoint, load_model, save_model
 from flowsplat.training.trainer import Trainer
 from tests.output.small import small_model
@@ -107,6 +112,7 @@ def make_originals(root: Path) -> None:
     _camera_files(root / CAMERAS)
     _messages(root / "messages")
     _splat_files(root / "splats")
+    _studio(root / "studio")
 
 
 def _run(folder: Path) -> None:
@@ -408,7 +414,31 @@ def _command(*arguments: str) -> Callable[[Path], None]:
 
 
 RUN_FILES = ("run.json", "metrics.json", "model/*", "scene/*.json", "scene/*.npz", "scene/*/*")
+
+
+def _studio(root: Path) -> None:
+    mark = {"x": 0.5, "y": 0.25, "frame": 3, "second": 0.5}
+    task = {"what": "run", "process": 2**22 + 7, "begun": "1", "since": 1e9, "stopping": False, "expected": {"train": 9.0}}
+    choices = {**first_choices(), "objects": [{"clicks": [mark], "beside": [mark]}], "contacts": [mark], "start": 0.5, "end": 2.0}
+    project = {
+        "version": 1, "name": "walk.mp4", "made": 1e9, "choices": choices, "ran": choices, "waiting": ["export html"], "task": task,
+        "end": {"what": "run", "state": "failed", "message": "It failed."},
+    }  # fmt: skip
+    write_json(root / "walk" / "studio.json", project)
+    (root / "walk" / "run.log").write_text("$ flowsplat run x\nOrbit: 4 degrees to either side\nTraining: 3 of 10, 2 s left\n")
+
+
+def _read_studio(folder: Path) -> None:
+    """As a server that is started: what cannot be read is left out, what can be is shown and looked after."""
+    project = Project(folder / "walk")
+    assert project.clip.parent == folder / "walk" / "clip"
+    describe_project(project, StandingReader(), ())
+    Tasks().end(project)
+    describe_project(project, StandingReader(), ())
+
+
 READERS = (
+    Reader("studio.json", "studio", ("walk/*",), _read_studio),
     Reader("run.json, metrics.json", "run", ("run.json", "metrics.json"), _read_run),
     Reader("report", "run", ("metrics.json", "training/history.json", "renders/renders.json"), _read_report),
     Reader("scene.json, views.json", "run", ("scene/scene.json", "scene/views.json"), _read_scene),

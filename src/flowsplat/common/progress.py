@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import os
 import threading
 import time
 from collections.abc import Iterable, Iterator
@@ -26,7 +27,18 @@ from flowsplat.common.durations import format_duration
 
 Item = TypeVar("Item")
 
-LINE_SECONDS = 30.0
+LINES_VARIABLE = "FLOWSPLAT_PROGRESS_SECONDS"
+"""The variable of the environment that says how often a line tells how far it is where no bar can move."""
+
+
+def _read_line_seconds() -> float:
+    with contextlib.suppress(KeyError, ValueError):
+        if 0.1 <= (seconds := float(os.environ[LINES_VARIABLE])) <= 3600:
+            return seconds
+    return 30.0
+
+
+LINE_SECONDS = _read_line_seconds()
 """Seconds between two lines where no bar can move: in pipes, files and CI. Chosen by eye."""
 
 console = Console(stderr=True, highlight=False)

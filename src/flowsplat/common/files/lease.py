@@ -26,6 +26,7 @@ from typing import Any
 
 from flowsplat.common.errors import InputError, InUseError
 from flowsplat.common.files.writing import make_folder, make_writing_error
+from flowsplat.common.processes import read_start_time
 
 try:
     import fcntl
@@ -182,7 +183,7 @@ class Claims:
         """
         path = self._path(name, number)
         value = {"host": socket.gethostname(), "place": self._place, "process": os.getpid(), "started":
-        _read_start_time(os.getpid()),
+        read_start_time(os.getpid()),
                  "token": self._token, "since": time.time()}  # fmt: skip
         try:
             file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
@@ -245,7 +246,7 @@ class Claims:
         if who.get("token") == self._token:
             return False
         if who.get("place") == self._place and isinstance(who.get("process"), int):
-            return _read_start_time(who["process"]) != who.get("started")
+            return read_start_time(who["process"]) != who.get("started")
         now = time.monotonic()
         before = self._seen.get((name, number))
         if before is None or before[0] != changed:
@@ -311,22 +312,3 @@ def _place() -> str:
         with contextlib.suppress(OSError):
             parts.append(read())
     return " ".join(parts)
-
-
-def _read_start_time(process: int) -> str | None:
-    """Return when a process was started, so that another of its number is not taken for it; None where it is dead."""
-    try:
-        status = Path(f"/proc/{process}/stat").read_text()
-        state, *rest = status.rpartition(")")[2].split()
-        return None if state in "ZX" else rest[18]  # field 22 of proc(5)
-    except OSError:
-        pass
-    if Path("/proc/self/stat").exists():
-        return None
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return None
-    except OSError:
-        pass
-    return "alive"

@@ -1,6 +1,6 @@
-"""Admit connections to the viewer.
+"""Admit connections to a server of pages that listens on this machine: the viewer, and the studio.
 
-Any page in a browser may open a connection to any port of the machine it is shown on; what keeps it from the viewer must be done
+Any page in a browser may open a connection to any port of the machine it is shown on; what keeps it from the server must be done
 here. viser (1.1) looks neither at ``Origin`` nor at ``Host`` and has no place to do so, but it starts its server with one call of
 ``websockets.asyncio.server.serve``: ``guard_server`` takes that call's place while a server starts, and ``is_guarded`` asks the
 server that came of it, so that another viser is noticed rather than trusted.
@@ -8,12 +8,13 @@ server that came of it, so that another viser is noticed rather than trusted.
 - ``Host`` has to be a name of this machine: a page of another name that has that name resolved to this machine ("DNS rebinding") is
   refused.
 - ``Origin`` has to be the page that was opened from here; connections for messages must have one.
-- Where others can reach the viewer, its address holds a random token, which becomes a cookie of the page.
+- Where others can reach the viewer, and always in the studio, the address holds a random token, which becomes a cookie of the page.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import hmac
 import http.client
 import ipaddress
@@ -28,6 +29,7 @@ from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+from flowsplat.common.errors import InputError
 from flowsplat.output.viewer.messages import Gate
 
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
@@ -53,11 +55,15 @@ class Guard:
         host: the address that is listened on.
         port: the port of it.
         token: what the address of the page ends with; None where only this machine reaches it.
+        what: is served, in words for who is refused.
+        command: that serves it.
     """
 
     host: str
     port: int
     token: str | None
+    what: str = "viewer"
+    command: str = "flowsplat view"
 
     @staticmethod
     def of(host: str, port: int) -> Guard:
@@ -69,25 +75,32 @@ class Guard:
         """What comes behind the address of the page."""
         return "" if self.token is None else f"/?token={self.token}"
 
-    def refusal(self, path: str, headers: Any) -> str | None:
+    @property
+    def address(self) -> str:
+        """What to open in a browser."""
+        shown = "localhost" if self.host in LOOPBACK | WILDCARDS else self.host
+        return f"http://{f'[{shown}]' if ':' in shown else shown}:{self.port}{self.query}"
+
+    def refusal(self, path: str, headers: Any, changes: bool = False) -> str | None:
         """Why a request is refused, in a sentence; None where it is not.
 
         Args:
             path: what is asked for, with its query.
             headers: of the request, with ``get_all``.
+            changes: whether it asks to change something: then it must say which page it comes from.
         """
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or not self._is_ours(hosts[0]):
-            return "This viewer is not served under that name: open the address that flowsplat view has printed."
-        is_socket = bool(headers.get_all("Upgrade"))
+            return f"This {self.what} is not served under that name: open the address that {self.command} has printed."
+        needs_origin = changes or bool(headers.get_all("Upgrade"))
         own = {f"http://{hosts[0].lower()}", f"https://{hosts[0].lower()}"}
-        if len(origins) > 1 or any(origin.lower() not in own for origin in origins) or (is_socket and not origins):
-            return "Another page may not use this viewer."
+        if len(origins) > 1 or any(origin.lower() not in own for origin in origins) or (needs_origin and not origins):
+            return f"Another page may not use this {self.what}."
         site, into = (headers.get_all(f"Sec-Fetch-{part}") for part in ("Site", "Dest"))
         if site and site[0] not in ("same-origin", "none") and into and into[0] != "document":
-            return "Another page may not show this viewer."
+            return f"Another page may not show this {self.what}."
         if self.token is not None and not self._has_token(path, headers):
-            return "This viewer needs its token: open the whole address that flowsplat view has printed."
+            return f"This {self.what} needs its token: open the whole address that {self.command} has printed."
         return None
 
     def headers(self, path: str, headers: Any) -> dict[str, str]:
@@ -102,8 +115,13 @@ class Guard:
             "X-Frame-Options": "DENY",
         }
         if self.token is not None and self._answer(path) is not None:
-            found["Set-Cookie"] = f"{self._cookie}={self.token}; HttpOnly; SameSite=Lax; Path=/"
+            found["Set-Cookie"] = self.cookie
         return found
+
+    @property
+    def cookie(self) -> str:
+        """The header that gives the token to the browser."""
+        return f"{self._cookie}={self.token}; HttpOnly; SameSite=Lax; Path=/"
 
     @property
     def _cookie(self) -> str:
@@ -132,6 +150,26 @@ class Guard:
                 found.append(cookies[self._cookie].value if self._cookie in cookies else None)
         assert self.token is not None
         return any(value is not None and hmac.compare_digest(value.encode(), self.token.encode()) for value in found)
+
+
+def check_address(host: str, port: int) -> None:
+    """Refuse an address that cannot be listened on; viser would silently take another port.
+
+    Raises:
+        InputError: names the option to change.
+    """
+    if not 1 <= port <= 65535:
+        raise InputError(f"There is no port {port}: give --port a number from 1 to 65535.")
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE:
+                raise InputError(f"Port {port} is in use: choose another one with --port.") from error
+            reason = error.strerror or error
+            raise InputError(f"Cannot listen on {host}, port {port} ({reason}): choose others with --host and --port.") from error
 
 
 def is_local(host: str) -> bool:

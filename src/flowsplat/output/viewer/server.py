@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import io
-import socket
 import threading
 import warnings
 from pathlib import Path
@@ -14,7 +12,7 @@ from typing import TYPE_CHECKING
 from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError, describe_install
 from flowsplat.common.progress import report
-from flowsplat.output.viewer.guard import LOOPBACK, WILDCARDS, Guard, guard_server, is_guarded
+from flowsplat.output.viewer.guard import Guard, check_address, guard_server, is_guarded
 from flowsplat.output.viewer.options import ViewOptions
 from flowsplat.output.viewer.source import Source
 from flowsplat.output.viewer.worker import Worker
@@ -38,7 +36,7 @@ class Viewer:
         _check_options(options)
         self._options = options
         self.source = Source(folder, pick_device(options.device))
-        _check_address(options.host, options.port)
+        check_address(options.host, options.port)
         self.guard = Guard.of(options.host, options.port)
         self._server = _serve(options, self.guard)
         self._panels: dict[int, Panel] = {}
@@ -90,7 +88,7 @@ def check_serving(options: ViewOptions) -> None:
         InputError: an option cannot be used, viser is missing, the device does not work, or the address cannot be listened on.
     """
     _check_options(options)
-    _check_address(options.host, options.port)
+    check_address(options.host, options.port)
     pick_device(options.device)
 
 
@@ -102,11 +100,9 @@ def view(folder: Path, options: ViewOptions) -> None:
     """
     viewer = Viewer(folder, options)
     try:
-        shown = "localhost" if options.host in LOOPBACK | WILDCARDS else options.host
-        shown = f"[{shown}]" if ":" in shown else shown
         source = viewer.source
         what = f"{folder} ({source.loaded.state})" if source.file is None else f"{source.file} (what is saved goes into {folder})"
-        report(f"Showing {what}: http://{shown}:{options.port}{viewer.guard.query} - Ctrl-C stops.")
+        report(f"Showing {what}: {viewer.guard.address} - Ctrl-C stops.")
         if viewer.guard.token is not None:
             report("Every computer that reaches this one can open the viewer, with this whole address; it is new each time.")
         threading.Event().wait()
@@ -123,28 +119,12 @@ def _quiet() -> contextlib.AbstractContextManager[object]:
 
 def _check_options(options: ViewOptions) -> None:
     """Refuse options that nothing could be served with, and a machine without viser."""
-    if not 1 <= options.port <= 65535:
-        raise InputError(f"There is no port {options.port}: give --port a number from 1 to 65535.")
     if not 64 <= options.largest <= 8192:
         raise InputError(f"Images of {options.largest} pixels cannot be shown: give --largest from 64 to 8192.")
     try:
         import viser  # noqa: F401 (the one thing that may be missing)
     except ImportError as error:
         raise InputError(f"The viewer needs viser: {describe_install('view')}.") from error
-
-
-def _check_address(host: str, port: int) -> None:
-    """Refuse an address that cannot be listened on; viser would silently take another port."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family, socket.SOCK_STREAM) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError as error:
-            if error.errno == errno.EADDRINUSE:
-                raise InputError(f"Port {port} is in use: choose another one with --port.") from error
-            reason = error.strerror or error
-            raise InputError(f"Cannot listen on {host}, port {port} ({reason}): choose others with --host and --port.") from error
 
 
 def _serve(options: ViewOptions, guard: Guard) -> viser.ViserServer:

@@ -1,7 +1,7 @@
 """Masks of what clicks and boxes show."""
 
 from flowsplat.priors.prompts.at_once import cut_prompts, show_at_once
-from flowsplat.priors.prompts.parsing import Prompt, parse_place, parse_prompts
+from flowsplat.priors.prompts.parsing import ClipFrames, Prompt, parse_place, parse_prompts
 from flowsplat.priors.prompts.stage import plain, prompt_stage, shows
 
-__all__ = ["Prompt", "cut_prompts", "parse_place", "parse_prompts", "plain", "prompt_stage", "show_at_once", "shows"]
+__all__ = ["ClipFrames", "Prompt", "cut_prompts", "parse_place", "parse_prompts", "plain", "prompt_stage", "show_at_once", "shows"]

@@ -12,7 +12,7 @@ from flowsplat.images.colors import tint
 from flowsplat.images.sheets import stack
 from flowsplat.priors.flow import FlowEstimator, forward_backward_confidence
 from flowsplat.priors.prompts.cutting import cut_out
-from flowsplat.priors.prompts.parsing import CLICK_RADIUS, Prompt
+from flowsplat.priors.prompts.parsing import CLICK_RADIUS, ClipFrames, Prompt
 from flowsplat.scenes import Flow, Scene
 from flowsplat.scenes.layers import write_image
 
@@ -27,7 +27,7 @@ _CLICK_COLOR, _BESIDE_COLOR, _BOX_COLOR = (60, 230, 60), (240, 50, 50), (255, 22
 """Red, green and blue in which clicks on and beside an object and boxes are drawn. Chosen by eye."""
 
 
-def cut_prompts(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimator) -> list[np.ndarray]:
+def cut_prompts(scene: ClipFrames, prompts: Sequence[Prompt], estimate: FlowEstimator) -> list[np.ndarray]:
     """Return the object of every prompt on its frame, bool [H, W]; nothing of a prompt without clicks on it or a box round it."""
     flows: dict[tuple[int, int], Flow] = {}
     found = []
@@ -62,7 +62,7 @@ def show_at_once(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimato
     return path
 
 
-def _near(scene: Scene, i: int, steps: int) -> int:
+def _near(scene: ClipFrames, i: int, steps: int) -> int:
     """Return the training frame that is so many after another one, or before it near the end; the last or first in the shortest
     clips."""
     frames = scene.train_frames
@@ -70,7 +70,7 @@ def _near(scene: Scene, i: int, steps: int) -> int:
     return frames[k + steps if k + steps < len(frames) else max(k - steps, 0) or (0 if k else 1)]
 
 
-def _one_flow(scene: Scene, i: int, j: int, estimate: FlowEstimator) -> Flow:
+def _one_flow(scene: ClipFrames, i: int, j: int, estimate: FlowEstimator) -> Flow:
     """Return the flow from one frame to another, and how sure it is."""
     a, b = scene.frame(i), scene.frame(j)
     forth = estimate(a, b)

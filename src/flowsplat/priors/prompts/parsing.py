@@ -5,16 +5,43 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from flowsplat.common.errors import InputError
-from flowsplat.scenes import Scene
 
 _EXAMPLES = {2: "320,180@0", 4: "280,120,400,240@0"}
 _NUMBER = r"-?\d+(?:\.\d+)?"
 
 Point = tuple[float, float]
+
+
+class ClipFrames(Protocol):
+    """What places are given on: the frames of a scene, or of a clip that is no scene yet."""
+
+    @property
+    def width(self) -> int:
+        """Pixels of the frames."""
+
+    @property
+    def height(self) -> int:
+        """Pixels of the frames."""
+
+    @property
+    def num_frames(self) -> int:
+        """How many there are."""
+
+    @property
+    def train_frames(self) -> list[int]:
+        """Numbers of those that places may be given on."""
+
+    @property
+    def heldout_frames(self) -> list[int]:
+        """Numbers of the others."""
+
+    def frame(self, i: int) -> np.ndarray:
+        """Return training frame ``i``, RGB [H, W, 3] uint8."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +68,7 @@ CLICK_RADIUS = 0.006
 Chosen by eye."""
 
 
-def parse_prompts(clicks: Sequence[str], boxes: Sequence[str], scene: Scene, beside: Sequence[str] = ()) -> list[Prompt]:
+def parse_prompts(clicks: Sequence[str], boxes: Sequence[str], scene: ClipFrames, beside: Sequence[str] = ()) -> list[Prompt]:
     """Prompts as they are typed: ``x,y@frame`` and ``x0,y0,x1,y1@frame``, and ``=number`` of the object behind it if need be.
 
     Values that are all at most 1 are shares of width and height, others are pixels of the frames. Boxes are objects of their own,
@@ -100,7 +127,7 @@ def parse_prompts(clicks: Sequence[str], boxes: Sequence[str], scene: Scene, bes
 class _Place:
     """A place as it is typed, perhaps with the number of an object."""
 
-    def __init__(self, text: str, option: str, count: int, scene: Scene):
+    def __init__(self, text: str, option: str, count: int, scene: ClipFrames):
         place, equals, number = text.partition("=")
         if equals and not re.fullmatch(r"\s*[1-9]\d{0,2}\s*", number):
             raise InputError(f"{option} {text} cannot be understood: behind = stands the number of an object, 1 or more.")
@@ -126,7 +153,7 @@ class _Place:
         return self.number
 
 
-def parse_place(text: str, option: str, count: int, scene: Scene) -> tuple[int, tuple[float, ...]]:
+def parse_place(text: str, option: str, count: int, scene: ClipFrames) -> tuple[int, tuple[float, ...]]:
     """Return the frame and the ``count`` (2 or 4) values, in pixels, of a place in a training frame as it is typed.
 
     Args:

@@ -1,0 +1,170 @@
+"""What the page is told of a project: how far it is, and what came of it."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import zipfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import atomic_path, make_folder, read_json
+from flowsplat.output.export.formats import EXPORTERS
+from flowsplat.output.report import video_title
+from flowsplat.output.videos import list_rendered
+from flowsplat.pipeline.folder import MetricsFile
+from flowsplat.scenes import Scene
+from flowsplat.studio.project import Project
+from flowsplat.studio.standing import SAYS, StandingReader, read_orbits
+from flowsplat.studio.tasks import command_line
+
+PAGE = "html"
+"""The export that plays a scene."""
+_PLACE = re.compile(r"(\d{1,5}),(\d{1,5})@(\d{1,5})")
+SERVED = re.compile(
+    r"poster\.jpg|run/(?:report|priors)\.html|run/preview\.png|run/renders/[^/]+\.(?:mp4|gif|webm|mov|png)"
+    r"|run/coarse/renders/[^/]+\.mp4|run/export/[^/]+|downloads/[^/]+\.zip|clip/[^/]+"
+)
+"""Files of a project that the page may ask for."""
+
+
+def state_of(project: Project) -> str:
+    """Return ``draft``, ``waiting``, ``running``, ``stopping``, ``stopped``, ``failed`` or ``done``; exports do not count."""
+    task, end = project.task, project.end
+    if task is not None and task["what"] == "run":
+        return "stopping" if task["stopping"] else "running"
+    if "run" in project.waiting:
+        return "waiting"
+    if end is not None and end["what"] == "run":
+        return end["state"]
+    if project.run.report_path.exists():
+        return "done"
+    return "stopped" if project.run.record_path.exists() else "draft"
+
+
+def summarize(project: Project) -> dict[str, Any]:
+    """Return what the list of all scenes shows of one."""
+    return {
+        "id": project.id, "name": project.name, "made": project.record["made"], "state": state_of(project),
+        "preset": project.choices["preset"], "poster": _link(project, project.poster),
+    }  # fmt: skip
+
+
+def describe(project: Project, standings: StandingReader, run_options: Sequence[str]) -> dict[str, Any]:
+    """Return all that the page shows of one."""
+    task, end, state = project.task, project.end, state_of(project)
+    found: dict[str, Any] = {
+        **summarize(project), "choices": project.choices, "clip": _link(project, project.clip),
+        "fixed": project.is_cut_fixed, "changed": project.is_cut_fixed and project.record.get("ran") != project.choices,
+        "command": command_line(project, "run", run_options), "message": "", "standing": None, "preview": None,
+        "exporting": None, "waiting": project.waiting,
+    }  # fmt: skip
+    if end is not None and end["state"] == "failed":
+        found["message"], found["failed"] = end["message"], end["what"]
+    if task is not None and task["what"] == "run":
+        standing = standings.read(project.run, project.log, task["since"], task.get("expected") or {})
+        found["standing"] = {
+            "says": SAYS[standing.stage], "line": standing.line[:300], "share": standing.share, "left": standing.seconds_left,
+            "late": standing.is_late,
+        }  # fmt: skip
+    elif task is not None:
+        found["exporting"] = task["what"].removeprefix("export ")
+    if state in ("running", "stopping", "stopped", "failed"):
+        found["preview"] = _link(project, project.run.preview_path)
+    if project.run.report_path.exists():
+        found["results"] = _describe_results(project)
+    return found
+
+
+def _describe_results(project: Project) -> dict[str, Any]:
+    run = project.run
+    orbits = read_orbits(project.log)
+    return {
+        "page": _link(project, run.path / "export" / EXPORTERS[PAGE].default_name), "report": _link(project, run.report_path),
+        "priors": _link(project, run.priors_report_path), "videos": list(_list_videos(project)),
+        "exports": list(_list_exports(project)), "hints": list(_list_hints(project)),
+        "orbit": {"now": orbits[-1], "before": orbits[-2] if len(orbits) > 1 else None} if orbits else None,
+    }  # fmt: skip
+
+
+def _list_videos(project: Project) -> Iterator[dict[str, str | None]]:
+    """Yield the videos with color alone before those with flow and depth beside it."""
+    try:
+        files = list_rendered(project.run.renders_path)
+    except InputError:
+        return
+    for name in sorted(files, key=lambda each: not each.endswith("_color")):
+        title = video_title(name.removesuffix("_color"))
+        beside = "" if name.endswith("_color") or f"{name}_color" not in files else ", with flow and depth"
+        link = _link(project, project.run.renders_path / files[name])
+        if link is not None:
+            yield {"title": f"{title}{beside}", "link": link, "file": files[name]}
+
+
+def _list_exports(project: Project) -> Iterator[dict[str, Any]]:
+    for entry in EXPORTERS.entries():
+        made = project.run.path / "export" / entry.value.default_name
+        link = f"/pack/{project.id}/{entry.name}" if entry.value.is_folder and made.is_dir() else _link(project, made)
+        yield {
+            "name": entry.name, "title": entry.title, "says": entry.sentence, "link": link,
+            "command": command_line(project, f"export {entry.name}"),
+        }  # fmt: skip
+
+
+def _list_hints(project: Project) -> Iterator[dict[str, Any]]:
+    """Yield the objects whose distance is a guess, with the place at which each most likely touches what is under it."""
+    try:
+        objects = read_json(project.run.metrics_path, MetricsFile).get("objects", [])
+        scene = Scene(project.run.scene_path)
+    except InputError:
+        return
+    for each in objects:
+        place = _PLACE.fullmatch(each.get("hint") or "")
+        if place is None or each.get("small"):
+            continue
+        x, y, frame = map(int, place.groups())
+        if frame in scene.train_frames:
+            yield {
+                "number": each.get("number"), "frame": frame,
+                "x": min((x + 0.5) / scene.width, 1.0), "y": min((y + 0.5) / scene.height, 1.0),
+            }  # fmt: skip
+
+
+def pack_folder(project: Project, to: str) -> Path:
+    """Return an export that is a folder as one file, packed anew where it has changed.
+
+    Raises:
+        InputError: it was not made yet, or the file cannot be written.
+    """
+    exporter = EXPORTERS[to]
+    folder = project.run.path / "export" / exporter.default_name
+    if not exporter.is_folder or not folder.is_dir():
+        raise InputError(f"{to} was not made yet.")
+    files = sorted(path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
+    packed = make_folder(project.folder / "downloads") / f"{exporter.default_name}.zip"
+    if packed.exists() and all(path.stat().st_mtime <= packed.stat().st_mtime for path in files):
+        return packed
+    with atomic_path(packed) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as opened:
+        for path in files:
+            opened.write(path, f"{exporter.default_name}/{path.relative_to(folder).as_posix()}")
+    return packed
+
+
+def forget_exports(project: Project) -> None:
+    """Delete the exports of a scene that is about to become another one."""
+    for folder in (project.run.path / "export", project.folder / "downloads"):
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _link(project: Project, path: Path) -> str | None:
+    """Return the address of a file, another one when it has changed; None where it is not there."""
+    try:
+        changed = path.stat().st_mtime_ns
+    except OSError:
+        return None
+    if not path.is_file():
+        return None
+    return f"/files/{project.id}/{quote(path.relative_to(project.folder).as_posix())}?v={changed:x}"

@@ -1,0 +1,162 @@
+"""Start, stop and find the processes that do the work: ``flowsplat run`` and ``flowsplat export`` as anybody would type them.
+
+Each has a session of its own and writes into the project's log, so it goes on without the server. One that is started later finds
+it by its number and the time at which the system says that it began.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.processes import read_start_time
+from flowsplat.common.progress import LINES_VARIABLE
+from flowsplat.output.export.formats import EXPORTERS
+from flowsplat.studio.choices import list_arguments
+from flowsplat.studio.project import EndFile, Project, TaskFile
+from flowsplat.studio.standing import read_last_lines
+
+LINE_SECONDS = 2
+"""Seconds between two lines of a process on how far it is. Chosen by eye."""
+KILL_SECONDS = 10.0
+"""Seconds in which a process that is killed has to be gone."""
+
+PROGRAM = (sys.executable, "-m", "flowsplat.cli")
+"""What ``flowsplat`` is on a command line."""
+
+_INTERRUPTED = {130, 128 + signal.SIGTERM, -signal.SIGTERM, -signal.SIGINT}
+_CUT_OFF = "It was cut off before it was done: was the computer switched off? Go on, and it continues where it was."
+
+
+def list_words(project: Project, what: str, run_options: Sequence[str] = ()) -> list[str]:
+    """Return the words of the command line, from ``flowsplat`` on.
+
+    Args:
+        what: ``run``, or ``export FORMAT``.
+
+    Raises:
+        InputError: there is no such format.
+    """
+    if what == "run":
+        places = [str(project.clip), "-o", str(project.run.path)]
+        return ["flowsplat", "run", *places, *list_arguments(project.choices, run_options)]
+    to = what.removeprefix("export ")
+    return ["flowsplat", "export", str(project.run.path), "--to", EXPORTERS.entry(to).name]
+
+
+def command_line(project: Project, what: str, run_options: Sequence[str] = ()) -> str:
+    """Return the same as it is typed."""
+    return shlex.join(list_words(project, what, run_options))
+
+
+class Tasks:
+    """The processes that this server has started, and those that it finds."""
+
+    def __init__(self, run_options: Sequence[str] = ()):
+        """``run_options``: what every run gets besides what is chosen on the page."""
+        self._run_options = tuple(run_options)
+        self._ours: dict[int, subprocess.Popen[bytes]] = {}
+
+    def start(self, project: Project, what: str, expected: dict[str, float] | None = None) -> None:
+        """Begin something with a project; its record says so from then on.
+
+        Args:
+            expected: seconds of each stage.
+
+        Raises:
+            InputError: the system starts no process, or the log cannot be written.
+        """
+        words = list_words(project, what, self._run_options)
+        try:
+            with project.log.open("ab") as log:
+                log.write(f"$ {shlex.join(words)}\n".encode())
+                log.flush()
+                process = subprocess.Popen(
+                    [*PROGRAM, *words[1:]], stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+                    start_new_session=True, env={**os.environ, LINES_VARIABLE: str(LINE_SECONDS), "COLUMNS": "200"},
+                )  # fmt: skip
+        except OSError as error:
+            raise InputError(f"No process can be started: {error.strerror or error}.") from error
+        self._ours[process.pid] = process
+        project.record["task"] = {
+            "what": what, "process": process.pid, "begun": read_start_time(process.pid) or "", "since": time.time(),
+            "stopping": False, "expected": expected or {},
+        }  # fmt: skip
+        project.record["end"] = None
+        if what == "run":
+            project.record["ran"] = project.choices
+        project.save()
+
+    def is_alive(self, task: TaskFile) -> bool:
+        """Return whether a process still works."""
+        ours = self._ours.get(task["process"])
+        if ours is not None and ours.poll() is not None:
+            return False
+        return read_start_time(task["process"]) == task["begun"]
+
+    def stop(self, project: Project) -> None:
+        """Ask the process of a project to stop: it finishes its step, and keeps what it has."""
+        task = project.task
+        if task is None or not self.is_alive(task):
+            return
+        task["stopping"] = True
+        project.save()
+        with contextlib.suppress(OSError):
+            os.kill(task["process"], signal.SIGTERM)
+
+    def kill(self, project: Project) -> None:
+        """End it at once, with all that it has started.
+
+        Raises:
+            InputError: it does not end.
+        """
+        task = project.task
+        if task is None or not self.is_alive(task):
+            return
+        with contextlib.suppress(OSError):
+            os.killpg(task["process"], signal.SIGKILL)
+        ends = time.monotonic() + KILL_SECONDS
+        while self.is_alive(task):
+            if time.monotonic() > ends:
+                raise InputError("Its process does not end: try again.")
+            time.sleep(0.02)
+
+    def end(self, project: Project) -> EndFile | None:
+        """Note how the process of a project ended, once it has; None while it works, or where there is none."""
+        task = project.task
+        if task is None or self.is_alive(task):
+            return None
+        ours = self._ours.pop(task["process"], None)
+        code = None if ours is None else ours.returncode
+        project.record["task"] = None
+        project.record["end"] = found = _judge(project, task, code)
+        project.save()
+        return found
+
+
+def _judge(project: Project, task: TaskFile, code: int | None) -> EndFile:
+    """Return how a process ended, by its exit code, or by what it said last where another server has started it."""
+    what, lines = task["what"], read_last_lines(project.log)
+    if code == 0 or (code is None and _says_done(project, what, lines)):
+        return {"what": what, "state": "done", "message": ""}
+    last = lines[-1] if lines else ""
+    if last.startswith("Error: "):
+        return {"what": what, "state": "failed", "message": last.removeprefix("Error: ")}
+    if task["stopping"] or code in _INTERRUPTED or last.startswith("Stopped."):
+        return {"what": what, "state": "stopped", "message": ""}
+    if code is None or code < 0:
+        return {"what": what, "state": "failed", "message": _CUT_OFF}
+    return {"what": what, "state": "failed", "message": f"It ended unexpectedly: {last or 'it said nothing'} (exit code {code})."}
+
+
+def _says_done(project: Project, what: str, lines: Sequence[str]) -> bool:
+    if what == "run":  # pipeline.summary.next_steps, the last that a whole run says
+        return any(line.endswith(str(project.run.report_path)) for line in lines[-4:])
+    return any(line.startswith("Written: ") for line in lines[-2:])
