@@ -25,7 +25,7 @@ def models(
         out: Folder for everything that comes out.
         models: Names of the models; the default is all of them.
         scenes: Names of the scenes. Clips are brought to 427 pixels of width and have given masks; rendered scenes keep their
-            size and have true priors.
+            size and have true priors, or our own with -own behind the name (street-own).
         seeds: Every model is trained once with each.
         iterations: Frame-steps of every run.
         device: What to compute on.

@@ -11,6 +11,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.scenes.ingest import open_clip
 from flowsplat_benchmarks.ablations.scenes import AblationScene, ablation_scenes, choose_scenes
 from flowsplat_benchmarks.ablations.training_runs import comparable, list_training_runs
+from flowsplat_benchmarks.datasets.cases import OWN_SUFFIX, rig_cases
 from flowsplat_benchmarks.models.lineup import LINEUP, choose_entrants
 from flowsplat_benchmarks.models.measure import measure_motion
 from flowsplat_benchmarks.models.report import write_report
@@ -18,7 +19,7 @@ from flowsplat_benchmarks.models.times import MIN_FRAMES, list_heldout
 from flowsplat_benchmarks.resume import BenchmarkOptions, measure_jobs, results_in
 
 PROTOCOL = "models"
-SCENES = ("bear", "workshop", "street", "dance-twirl")
+SCENES = ("bear", "workshop", "street", "street-own", "dance-twirl")
 SEEDS = (0, 1)
 """Of the random numbers of the runs."""
 ITERATIONS = 1500
@@ -65,7 +66,7 @@ def run_models(
     if not report_only:
         pick_device(device)
     variants = [entrant.variant for entrant in choose_entrants(models, with_base)]
-    known = ablation_scenes(root, CLIP_SIDE)
+    known = list_scenes(root)
     wanted = [] if report_only else [hold_out(scene, device) for scene in choose_scenes(root, known, scenes)]
     runs = list_training_runs(PROTOCOL, wanted, variants, seeds, iterations, MAX_GAUSSIANS)
     jobs = [replace(run, measure_more=measure_motion).job(out) for run in runs]
@@ -80,6 +81,18 @@ def run_models(
         return write_report(out, found, failed, others)
 
     return measure_jobs(jobs, out, report, "runs", again, options, device=device)
+
+
+def list_scenes(root: Path) -> list[AblationScene]:
+    """Return the scenes of the ablations, and beside each rendered one ``<scene>-own``: the same with priors of our own.
+
+    Raises:
+        InputError: no such folder.
+    """
+    known = ablation_scenes(root, CLIP_SIDE)
+    rendered = {scene.case.scene for scene in known if scene.case.protocol == "rig"}
+    own = rig_cases(root, sorted(rendered), priors="own") if rendered else []
+    return [*known, *(AblationScene(replace(case, scene=case.scene + OWN_SUFFIX), None) for case in own)]
 
 
 def hold_out(scene: AblationScene, device: DeviceName = "auto") -> AblationScene:

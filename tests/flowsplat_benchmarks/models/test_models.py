@@ -199,6 +199,17 @@ def test_rendered_scenes_hold_out_times_beside_their_cameras(runs_root):
     assert benchmark.hold_out(tiny).name == "tiny_gaps"
 
 
+def test_rendered_scenes_also_come_with_priors_of_our_own(runs_root):
+    scenes_by_name = {scene.case.scene: scene for scene in benchmark.list_scenes(runs_root)}
+    assert {"bear", "tiny", "tiny-own"} <= scenes_by_name.keys()
+    assert "bear-own" not in scenes_by_name
+    true, own = (benchmark.hold_out(scenes_by_name[name]) for name in ("tiny", "tiny-own"))
+    assert (true.case.config.priors.priors, own.case.config.priors.priors) == ("true", "own")
+    assert (own.name, own.case.source) == ("tiny-own_gaps", true.case.source)
+    tuned = replace(true.case, scene="workshop"), replace(true.case, scene="workshop-own"), replace(true.case, scene="other-own")
+    assert [case.is_tuned for case in tuned] == [True, True, False]
+
+
 @pytest.mark.slow
 def test_every_model_is_trained(runs_root, tmp_path):
     call("models", runs_root, "-o", tmp_path, "--scenes", "tiny", "--seeds", "0", "--iterations", "24")
