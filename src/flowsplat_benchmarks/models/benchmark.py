@@ -14,9 +14,10 @@ from flowsplat_benchmarks.ablations.training_runs import comparable, list_traini
 from flowsplat_benchmarks.datasets.cases import OWN_SUFFIX, rig_cases
 from flowsplat_benchmarks.models.lineup import LINEUP, choose_entrants
 from flowsplat_benchmarks.models.measure import measure_motion
-from flowsplat_benchmarks.models.report import write_report
+from flowsplat_benchmarks.models.report import fill_page, write_report
 from flowsplat_benchmarks.models.times import MIN_FRAMES, list_heldout
 from flowsplat_benchmarks.resume import BenchmarkOptions, measure_jobs, results_in
+from flowsplat_benchmarks.tables import Result
 
 PROTOCOL = "models"
 SCENES = ("bear", "workshop", "street", "street-own", "dance-twirl")
@@ -42,6 +43,7 @@ def run_models(
     device: DeviceName = "auto",
     with_base: bool = True,
     report_only: bool = False,
+    docs: Path | None = None,
 ) -> Path:
     """Run or resume the models: one JSON a run, ``OUT/models.md`` and ``.html``, and an image of the first table.
 
@@ -56,6 +58,7 @@ def run_models(
         device: to train and measure on.
         with_base: whether the base is always among the models; without it each run can be a call of its own.
         report_only: run nothing, and show what is in OUT.
+        docs: a page of the documentation that gets the table of what is best where, too (``report.fill_page``).
 
     Returns:
         path of the page, which shows all runs in OUT with these settings and steps.
@@ -71,16 +74,22 @@ def run_models(
     runs = list_training_runs(PROTOCOL, wanted, variants, seeds, iterations, MAX_GAUSSIANS)
     jobs = [replace(run, measure_more=measure_motion).job(out) for run in runs]
 
-    def report(failed: Mapping[str, str]) -> Path:
+    def compare() -> tuple[list[Result], int]:
         results = results_in(PROTOCOL, out)
         names = {result["scene"] for result in results}
         there = {scene.case.scene: scene for scene in wanted}
         there |= {scene.case.scene: hold_out(scene) for scene in known if scene.case.scene in names - set(there)}
         every = [entrant.variant for entrant in LINEUP]
-        found, others = comparable(results, PROTOCOL, list(there.values()), every, iterations, MAX_GAUSSIANS)
+        return comparable(results, PROTOCOL, list(there.values()), every, iterations, MAX_GAUSSIANS)
+
+    def report(failed: Mapping[str, str]) -> Path:
+        found, others = compare()
         return write_report(out, found, failed, others)
 
-    return measure_jobs(jobs, out, report, "runs", again, options, device=device)
+    page = measure_jobs(jobs, out, report, "runs", again, options, device=device)
+    if docs is not None:
+        fill_page(docs, compare()[0])
+    return page
 
 
 def list_scenes(root: Path) -> list[AblationScene]:
