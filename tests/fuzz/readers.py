@@ -57,8 +57,10 @@ from flowsplat.studio.results import describe as describe_project
 from flowsplat.studio.standing import StandingReader
 from flowsplat.studio.tasks import Tasks
 from flowsplat.training.checkpoint import load_checkpoint, load_model, save_model
+from flowsplat.training.config import TrainConfig
 from flowsplat.training.trainer import Trainer
-from tests.output.small import small_model
+from flowsplat_benchmarks.datasets.dycheck import read_keypoints
+from tests.output.small import OTHERS, small_cameras, small_model
 from tests.output.splat_files.test_reading import make_still
 from tests.priors.given import test_camera_files as cameras_of_others
 from tests.priors.given import test_feedforward_files as networks
@@ -99,6 +101,7 @@ def make_originals(root: Path) -> None:
     """Small files of every kind, each of which can be read as it is."""
     _run(root / "run")
     _training(root / "training")
+    _sharing(root / "sharing")
     for suffix in ("png", "jpg", "webp", "tif", "bmp"):
         for i in range(3):
             write_image_file(root / suffix / "images" / f"{i}.{suffix}", make_image(i))
@@ -108,6 +111,7 @@ def make_originals(root: Path) -> None:
     write_raw(root / "raw", replace(SPEC, frames=2))
     write_twelve(root / "twelve", replace(SPEC, frames=2))
     write_nerfies(root / "nerfies", replace(SPEC, frames=2))
+    _dycheck(root / "dycheck")
     _given(root / "given")
     _camera_files(root / CAMERAS)
     _messages(root / "messages")
@@ -160,6 +164,31 @@ def _training(folder: Path) -> None:
     start = a_few(config)
     Trainer(seen(start), None, config, folder / "training", start=start).run()
     save_model(folder / "model", small_model(resting=30, moving=20))
+
+
+def _sharing_config() -> TrainConfig:
+    config = replace(tiny("default"), checkpoint_every=1)
+    return replace(config, model=OTHERS["bases"])
+
+
+def _sharing(folder: Path) -> None:
+    """Of motion models whose Gaussians share parameters."""
+    start = a_few(_sharing_config())
+    Trainer(seen(a_few(tiny("default"))), None, _sharing_config(), folder / "training", start=start).run()
+    for kind in ("bases", "deformation"):
+        save_model(folder / kind, small_model(OTHERS[kind], resting=30, moving=20))
+
+
+def _dycheck(folder: Path) -> None:
+    """Three frames, points that were marked in them, and what the clip saw of the test images."""
+    spec = replace(SPEC, frames=3)
+    write_nerfies(folder, spec)
+    for i in range(spec.frames):
+        path = folder / "keypoint/2x/train" / f"4_{i:05d}.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps([[9.5 + i, 8.5, 1], [20.0, 12.5, i % 2]]))
+        for camera in (3, 5, 6):
+            write_image_file(folder / "covisible/2x/val" / f"{camera}_{i:05d}.png", np.full((24, 32), 255, np.uint8))
 
 
 def _films(folder: Path) -> None:
@@ -331,6 +360,22 @@ def _read_checkpoint(folder: Path) -> None:
     model.active_count(0.5)
 
 
+def _read_sharing(folder: Path) -> None:
+    for kind in ("bases", "deformation"):
+        model = load_model(folder / kind)
+        model.render(small_cameras(model, 32, 24)[0], model.first)
+
+
+def _go_on_sharing(folder: Path) -> None:
+    config = _sharing_config()
+    Trainer(seen(a_few(tiny("default"))), None, config, folder / "training", start=a_few(config)).run()
+
+
+def _read_dycheck(folder: Path) -> None:
+    _ingest(folder)
+    read_keypoints(folder, Scene(folder.parent / "ingested"))
+
+
 def _train_on(folder: Path) -> None:
     config = replace(tiny("default"), checkpoint_every=1)
     Trainer(seen(a_few(config)), None, config, folder / "training", start=a_few(config)).run()
@@ -453,6 +498,8 @@ READERS = (
     Reader("static Gaussians", "splats", ("*",), _read_splats),
     Reader("checkpoint to look at", "training", ("training/*",), _read_checkpoint),
     Reader("checkpoint to go on from", "training", ("training/*",), _train_on),
+    Reader("model that shares parameters", "sharing", ("bases/*", "deformation/*"), _read_sharing),
+    Reader("checkpoint that shares parameters", "sharing", ("training/*",), _go_on_sharing),
     *(Reader(f"images, {kind}", kind, ("images/*",), _ingest) for kind in ("png", "jpg", "webp", "tif", "bmp")),
     Reader("masks beside images", "png", ("masks/*",), _ingest),
     Reader("films", "films", ("*",), _ingest_films),
@@ -460,6 +507,7 @@ READERS = (
     Reader("rig's arrays", "rig", ("*.npz",), _ingest),
     Reader("NVIDIA, raw", "raw", ("*.npy", "mv_images/*/*"), _ingest),
     Reader("NVIDIA, twelve", "twelve", ("*.npy", "*/*"), _ingest),
+    Reader("DyCheck", "dycheck", ("keypoint/2x/train/*", "covisible/2x/val/*"), _read_dycheck),
     Reader("nerfies", "nerfies", ("splits/*", "camera/*", "*.json"), _ingest),
     *(
         Reader(f"given {name}, {Path(place).name}", f"given/{place}", ("*",), _given_of(name, file))

@@ -38,7 +38,7 @@ from flowsplat.common.progress import track
 from flowsplat.common.threads import in_threads
 from flowsplat.evaluation.baselines import HeldoutImage, list_baselines, predict, to_float
 from flowsplat.evaluation.motion import MotionErrors, read_object_mask
-from flowsplat.evaluation.perceptual import lpips_metric
+from flowsplat.evaluation.perceptual import PerceptualMetric, lpips_metric
 from flowsplat.evaluation.placement import view_camera
 from flowsplat.evaluation.scores import Figures, score_image, summarize
 from flowsplat.gaussians.model import at_once
@@ -67,6 +67,7 @@ def evaluate(
     baselines: bool = True,
     static_model: Renderer | None = None,
     refine: Refine | None = None,
+    perceptual: PerceptualMetric | None = None,
 ) -> Figures:
     """Measure a model on everything that its scene knows.
 
@@ -76,6 +77,7 @@ def evaluate(
         baselines: also predict the held-out images without a model.
         static_model: a model of the same scene without motion, measured among the baselines.
         refine: measures the held-out frames a second time, from the cameras that it finds.
+        perceptual: LPIPS; None = as it is installed, if it is.
 
     Returns:
         the content of ``metrics.json``, but for what a run adds.
@@ -83,7 +85,7 @@ def evaluate(
     Raises:
         InputError: the scene is damaged or incomplete, or the folder cannot be written.
     """
-    evaluator = _Evaluator(model, static_model, scene, None if folder is None else Path(folder), baselines, refine)
+    evaluator = _Evaluator(model, static_model, scene, None if folder is None else Path(folder), baselines, refine, perceptual)
     frames, views, threads = [], [], at_once(model)
     if scene.heldout_frames:
         frames = list(in_threads(evaluator.score_heldout_frame, track(scene.heldout_frames, "Held-out frames"), threads))
@@ -146,11 +148,12 @@ class _Evaluator:
         folder: Path | None,
         baselines: bool,
         refine: Refine | None,
+        perceptual: PerceptualMetric | None,
     ):
         self._model, self._static_model = model, static_model
         self._scene, self._folder, self._baselines, self._refine = scene, folder, baselines, refine
         self._overlay = scene.overlay
-        self._lpips, reason = lpips_metric()
+        self._lpips, reason = lpips_metric() if perceptual is None else (perceptual, "")
         self.lpips_reason = reason or None
 
     def score_heldout_frame(self, i: int) -> Figures:

@@ -131,18 +131,20 @@ class Gaussians4D:
         """Make tensors of what was given as NumPy arrays, parameters in float32 as everything computes.
 
         Raises:
-            ValueError: parameters are of several types, or one of no float type; ``dynamic`` is not bool.
+            ValueError: parameters are of several types, or one of no float type, also one that is shared; ``dynamic`` is not bool.
         """
-        if not all(isinstance(value, Tensor) for value in self.params.values()):
-            self.params = {
-                name: value if isinstance(value, Tensor) else torch.tensor(np.asarray(value, np.float32))
-                for name, value in self.params.items()
-            }
+        if not all(isinstance(value, Tensor) for value in self.values.values()):
+            self.params, self.shared = (
+                {name: _to_tensor(value) for name, value in each.items()} for each in (self.params, self.shared)
+            )
         self.dynamic = torch.as_tensor(self.dynamic)
         if self.dynamic.dtype != torch.bool:
             raise ValueError(f"dynamic must be bool, not {str(self.dynamic.dtype)[6:]}")
         self.object_ids = torch.as_tensor(self.object_ids)
         dtype = next((value.dtype for value in self.params.values()), torch.float32)
+        for name, value in self.shared.items():
+            if not value.dtype.is_floating_point:
+                raise ValueError(f"{name} is {str(value.dtype)[6:]}: give shared parameters in a float type")
         for name, value in self.params.items():
             if value.dtype != dtype or not dtype.is_floating_point:
                 one = next(iter(self.params))
@@ -268,6 +270,10 @@ class Gaussians4D:
         return Gaussians4D(
             params, self.dynamic[rows], self.config, self.sh_degree, self.object_ids[rows], seen, shadow_free, self.shared
         )
+
+
+def _to_tensor(value: Tensor | np.ndarray) -> Tensor:
+    return value if isinstance(value, Tensor) else torch.tensor(np.asarray(value, np.float32))
 
 
 def parameter_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:

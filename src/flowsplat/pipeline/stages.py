@@ -19,6 +19,8 @@ from flowsplat.common.memory import get_recent_peak
 from flowsplat.common.progress import spinner
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.evaluation.evaluate import evaluate
+from flowsplat.evaluation.lpips_network import open_lpips
+from flowsplat.evaluation.perceptual import PerceptualMetric
 from flowsplat.evaluation.poses import refine_camera
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Camera
@@ -153,35 +155,40 @@ class _Result:
         return list(flow_comparisons(self.scene, self.model))
 
 
-def evaluate_run(folder: RunFolder) -> dict[str, Any]:
+def evaluate_run(folder: RunFolder, lpips: Path | None = None) -> dict[str, Any]:
     """Measure the trained scene; writes ``metrics.json`` and the report.
 
+    Args:
+        lpips: a file of AlexNet's weights, by which LPIPS is measured, too; what is measured already is measured again.
+
     Raises:
-        InputError: there is no trained scene with the settings of the run, or the device does not work.
+        InputError: there is no trained scene with the settings of the run, the device does not work, or as
+            ``lpips_network.open_lpips``.
     """
+    perceptual = None if lpips is None else open_lpips(lpips)
     with lease(folder.path):
-        return _evaluate(folder, _Result(folder))
+        return _evaluate(folder, _Result(folder), perceptual)
 
 
-def _evaluate(folder: RunFolder, result: _Result) -> dict[str, Any]:
+def _evaluate(folder: RunFolder, result: _Result, perceptual: PerceptualMetric | None = None) -> dict[str, Any]:
     pick_device(folder.config.device)
     if folder.model_path.exists() and not folder.is_finished("train", train_key(folder)):
         raise InputError(f"{folder.model_path} was trained with other settings than those of the run: run flowsplat train first.")
     key = stage_key(train_key(folder), folder.config.baselines, folder.config.refine_poses)
-    if folder.is_finished("evaluate", key) and folder.metrics_path.exists():
+    if folder.is_finished("evaluate", key) and folder.metrics_path.exists() and perceptual is None:
         return read_metrics(folder.metrics_path)
     static = static_model(folder) if folder.config.baselines == "all" else None
     with folder.stage("evaluate", key, made=False) as stage:
-        metrics = _measure(folder, result, static)
+        metrics = _measure(folder, result, static, perceptual)
         _write_metrics(folder, result, metrics, stage.seconds)
         stage.finish()
     return metrics
 
 
-def _measure(folder: RunFolder, result: _Result, static: SceneModel | None) -> dict[str, Any]:
+def _measure(folder: RunFolder, result: _Result, static: SceneModel | None, perceptual: PerceptualMetric | None) -> dict[str, Any]:
     model, scene = result.model, result.scene
     refine = partial(refine_camera, model) if folder.config.refine_poses else None
-    metrics = evaluate(model, scene, folder=folder.evaluation_path, static_model=static, refine=refine)
+    metrics = evaluate(model, scene, folder=folder.evaluation_path, static_model=static, refine=refine, perceptual=perceptual)
     counts = [model.active_count(float(t)) for t in scene.timestamps]
     metrics["gaussians"] = {
         "total": len(model.gaussians), "active_mean": float(np.mean(counts)), "active": counts,

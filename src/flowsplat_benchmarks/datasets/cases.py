@@ -40,6 +40,8 @@ TWELVE_WIDTH = 480
 """Pixels of width of the protocol with twelve images."""
 MARBLES_SCALE = 2
 """Dynamic Gaussian Marbles measures on images of half the size, and so does DyCheck."""
+OWN_SUFFIX = "-own"
+"""Behind the name of a rendered scene whose priors are our own, where it stands beside the same with true ones."""
 
 ProtocolName = Literal["davis", "rig", "nvidia", "dycheck"]
 FORMS = {
@@ -83,7 +85,7 @@ class Case:
     @property
     def is_tuned(self) -> bool:
         """Whether settings were chosen on this scene."""
-        return self.scene in TUNED
+        return self.scene.removesuffix(OWN_SUFFIX) in TUNED
 
 
 def protocol_config(name: str, config: RunConfig | None, holdout: int | None) -> tuple[RunConfig, str]:

@@ -11,14 +11,16 @@ from flowsplat.common.errors import InputError
 from flowsplat.scenes.ingest import open_clip
 from flowsplat_benchmarks.ablations.scenes import AblationScene, ablation_scenes, choose_scenes
 from flowsplat_benchmarks.ablations.training_runs import comparable, list_training_runs
+from flowsplat_benchmarks.datasets.cases import OWN_SUFFIX, rig_cases
 from flowsplat_benchmarks.models.lineup import LINEUP, choose_entrants
 from flowsplat_benchmarks.models.measure import measure_motion
-from flowsplat_benchmarks.models.report import write_report
+from flowsplat_benchmarks.models.report import fill_page, write_report
 from flowsplat_benchmarks.models.times import MIN_FRAMES, list_heldout
 from flowsplat_benchmarks.resume import BenchmarkOptions, measure_jobs, results_in
+from flowsplat_benchmarks.tables import Result
 
 PROTOCOL = "models"
-SCENES = ("bear", "workshop", "street", "dance-twirl")
+SCENES = ("bear", "workshop", "street", "street-own", "dance-twirl")
 SEEDS = (0, 1)
 """Of the random numbers of the runs."""
 ITERATIONS = 1500
@@ -41,6 +43,7 @@ def run_models(
     device: DeviceName = "auto",
     with_base: bool = True,
     report_only: bool = False,
+    docs: Path | None = None,
 ) -> Path:
     """Run or resume the models: one JSON a run, ``OUT/models.md`` and ``.html``, and an image of the first table.
 
@@ -55,6 +58,7 @@ def run_models(
         device: to train and measure on.
         with_base: whether the base is always among the models; without it each run can be a call of its own.
         report_only: run nothing, and show what is in OUT.
+        docs: a page of the documentation that gets the table of what is best where, too (``report.fill_page``).
 
     Returns:
         path of the page, which shows all runs in OUT with these settings and steps.
@@ -65,21 +69,39 @@ def run_models(
     if not report_only:
         pick_device(device)
     variants = [entrant.variant for entrant in choose_entrants(models, with_base)]
-    known = ablation_scenes(root, CLIP_SIDE)
+    known = list_scenes(root)
     wanted = [] if report_only else [hold_out(scene, device) for scene in choose_scenes(root, known, scenes)]
     runs = list_training_runs(PROTOCOL, wanted, variants, seeds, iterations, MAX_GAUSSIANS)
     jobs = [replace(run, measure_more=measure_motion).job(out) for run in runs]
 
-    def report(failed: Mapping[str, str]) -> Path:
+    def compare() -> tuple[list[Result], int]:
         results = results_in(PROTOCOL, out)
         names = {result["scene"] for result in results}
         there = {scene.case.scene: scene for scene in wanted}
         there |= {scene.case.scene: hold_out(scene) for scene in known if scene.case.scene in names - set(there)}
         every = [entrant.variant for entrant in LINEUP]
-        found, others = comparable(results, PROTOCOL, list(there.values()), every, iterations, MAX_GAUSSIANS)
+        return comparable(results, PROTOCOL, list(there.values()), every, iterations, MAX_GAUSSIANS)
+
+    def report(failed: Mapping[str, str]) -> Path:
+        found, others = compare()
         return write_report(out, found, failed, others)
 
-    return measure_jobs(jobs, out, report, "runs", again, options, device=device)
+    page = measure_jobs(jobs, out, report, "runs", again, options, device=device)
+    if docs is not None:
+        fill_page(docs, compare()[0])
+    return page
+
+
+def list_scenes(root: Path) -> list[AblationScene]:
+    """Return the scenes of the ablations, and beside each rendered one ``<scene>-own``: the same with priors of our own.
+
+    Raises:
+        InputError: no such folder.
+    """
+    known = ablation_scenes(root, CLIP_SIDE)
+    rendered = {scene.case.scene for scene in known if scene.case.protocol == "rig"}
+    own = rig_cases(root, sorted(rendered), priors="own") if rendered else []
+    return [*known, *(AblationScene(replace(case, scene=case.scene + OWN_SUFFIX), None) for case in own)]
 
 
 def hold_out(scene: AblationScene, device: DeviceName = "auto") -> AblationScene:

@@ -6,6 +6,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import read_bytes, write_text
 from flowsplat.evaluation.scores import mean_of
 from flowsplat.images.charts import bar_chart
 from flowsplat.images.html import NOTHING
@@ -14,7 +16,7 @@ from flowsplat_benchmarks.ablations.training_runs import by_run
 from flowsplat_benchmarks.ablations.verdicts import EVEN_DECIBELS, Effect, Verdict, counts, effect, verdict
 from flowsplat_benchmarks.models.lineup import BASE, LINEUP, Entrant
 from flowsplat_benchmarks.models.times import END, GAP_LENGTHS
-from flowsplat_benchmarks.tables import Chart, Column, Result, Table, text
+from flowsplat_benchmarks.tables import Chart, Column, Result, Table, format_table, text
 
 TITLE = "Motion models"
 REMARKS = (
@@ -26,6 +28,8 @@ REMARKS = (
     f"{EVEN_DECIBELS} dB are no difference. Else a mean up to its spread is not separable; a larger one confirms that the other "
     "model is worse, or contradicts it. One run has no spread.",
 )
+MAX_PAGE_BYTES = 2**20
+"""Of a page of the documentation. Chosen by eye."""
 DEVICES = {"cpu": "the CPU", "cuda": "a CUDA card"}
 EXPECTED = -1
 """The sign of the difference that is claimed of every other model."""
@@ -43,6 +47,14 @@ COLUMNS = (
     Column("of all cores", ("seconds", "train_cpu"), 0), Column("ms an image", ("image_seconds",), 1, 1e3),
 )  # fmt: skip
 """What the tables by clip have, of what was measured there."""
+CRITERIA = (
+    (COLUMNS[0], 1), (COLUMNS[1], 1), *((Column(f"gap of {length}", ("gaps", str(length), "psnr")), 1) for length in GAP_LENGTHS),
+    (Column("end", ("gaps", END, "psnr")), 1), (Column("from aside", ("views", "psnr")), 1),
+    (Column("flow inside, px", ("flow", "moving", "mean"), 3), -1), (Column("tracks, %", ("tracks", "moving", "median")), -1),
+)  # fmt: skip
+"""By what the best model of a clip is chosen, and whether more (1) or less of it is better."""
+PAGE_MARKS = "<!-- written by flowsplat benchmark models: begin -->", "<!-- written by flowsplat benchmark models: end -->"
+"""Lines of a page of the documentation between which ``fill_page`` writes."""
 
 
 def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str], others: int = 0) -> Path:
@@ -64,6 +76,7 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
         verdicts = [verdict(found, EXPECTED) for _, found in judged]
         tables = [
             _compare(measured, judged, scenes, results),
+            _choose_best(measured, scenes, results),
             *(_list_clip(measured, scene, scenes[scene], results) for scene in scenes),
         ]
     seeds = ", ".join(map(str, sorted({result["seed"] for result in results})))
@@ -73,6 +86,51 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
     remarks = [*REMARKS, how_measured(results), f"Seeds {seeds}; {steps} frame-steps. Runs: {trained}."] if results else []
     said = f"{len(verdicts)} models beside the series: {counts(verdicts)}." if verdicts else "Nothing is compared yet."
     return write_ablation_report(out, "models", TITLE, said, remarks, tables, failed, others)
+
+
+def fill_page(path: Path, results: Sequence[Result]) -> None:
+    """Write the table of what is best where, and how it was measured, between the marks of a page of the documentation.
+
+    Raises:
+        InputError: there are no results, or the page has no marks or cannot be written.
+    """
+    begin, end = PAGE_MARKS
+    before, found, rest = read_bytes(path, MAX_PAGE_BYTES).decode("utf-8", "replace").partition(begin)
+    _, ended, after = rest.partition(end)
+    if not (found and ended):
+        raise InputError(f"{path} has no lines {begin} and {end}, between which the table belongs.")
+    if not results:
+        raise InputError("There are no results with these settings and steps to write a table of.")
+    measured = [entrant for entrant in LINEUP if any(result["variant"] == entrant.variant.name for result in results)]
+    table = _choose_best(measured, scene_names(results), results)
+    lines = [begin, "", *format_table(table.header, table.rows), "", table.note, how_measured(results), "", end]
+    write_text(path, before + "\n".join(lines) + after)
+
+
+def _choose_best(measured: Sequence[Entrant], scenes: Mapping[str, str], results: Sequence[Result]) -> Table:
+    """Return which model is the best of each clip by each of ``CRITERIA``."""
+    rows = []
+    for scene, name in scenes.items():
+        cells = []
+        for column, sign in CRITERIA:
+            found: dict[str, float] = {}
+            for entrant in measured:
+                runs = by_run(results, entrant.variant.name, column.path)
+                value = mean_of(runs[run] for run in runs if run[0] == scene)
+                if value is not None:
+                    found[entrant.variant.name] = value
+            best = max(found, key=lambda each: sign * found[each], default="")
+            base = found.get(BASE.variant.name)
+            if base is not None and sign > 0 and found[best] - base < EVEN_DECIBELS:
+                best = BASE.variant.name
+            gain = "" if base is None or best == BASE.variant.name else f" ({text(found[best] - base, column.digits, True)})"
+            cells.append(f"{best}{gain}" if best else NOTHING)
+        rows.append((name, *cells))
+    note = (
+        "By means over seeds; in brackets the difference from the series, which stands where no other is "
+        f"{EVEN_DECIBELS:g} dB better. Whether a difference is more than the spread, the table of held-out times tells."
+    )
+    return Table("Which is best where", note, ("", *(column.header for column, _ in CRITERIA)), rows)
 
 
 def _effect(entrant: Entrant, results: Sequence[Result], *figure: str) -> Effect | None:

@@ -16,7 +16,7 @@ from flowsplat_benchmarks.ablations.scenes import ablation_scenes
 from flowsplat_benchmarks.models import benchmark
 from flowsplat_benchmarks.models.lineup import LINEUP, choose_entrants
 from flowsplat_benchmarks.models.measure import measure_motion
-from flowsplat_benchmarks.models.report import write_report
+from flowsplat_benchmarks.models.report import PAGE_MARKS, fill_page, write_report
 from flowsplat_benchmarks.models.times import END_LENGTH, GAP_LENGTHS, HELDOUT_SHARE, MIN_FRAMES, list_heldout, place_gaps
 from tests.flowsplat_benchmarks.ablations.test_training_runs import call, refuse
 from tests.output.small import OTHERS, small_model
@@ -69,7 +69,7 @@ def test_the_tables_compare_with_the_series_and_list_every_clip(tmp_path):
     assert rows[0].rstrip(" |").endswith("1.30")
     assert "| splines: SplineGS | +1.05 (+1.05)" in text
     assert "contradicted" in next(line for line in text.splitlines() if line.startswith("| splines: SplineGS | +1.05"))
-    header = next(line for line in text.splitlines() if "gap of 5" in line)
+    header = next(line for line in text.splitlines() if "gap of 5, inside" in line)
     assert "numbers, million" in header
     assert "from aside" not in header, "nothing of what no run of the clip has"
     assert "none is pruned" in text
@@ -87,6 +87,39 @@ def test_seconds_are_compared_on_one_device_only(tmp_path):
     text = (tmp_path / "models.md").read_text()
     assert next(line for line in text.splitlines() if line.startswith("| bases")).rstrip(" |").endswith("1.30")
     assert "Runs: 3 on the CPU, 1 on a CUDA card." in text
+
+
+def test_what_is_best_where(tmp_path):
+    found = [result("series", 30.0), result("bases", 31.0), result("marbles", 29.0)]
+    found += [result("series", 30.0, "workshop"), result("bases", 30.01, "workshop")]
+    for model, tracks in zip(found, (2.0, 3.0, 1.0, 2.0, 2.5), strict=True):
+        model["tracks"] = {"moving": {"median": tracks}}
+    write_report(tmp_path, found, {})
+    lines = (tmp_path / "models.md").read_text().split("## Which is best where")[1].splitlines()
+    header = next(line for line in lines if line.startswith("|")).strip("| ").split(" | ")
+    bear, workshop = (
+        [cell.strip() for cell in line[1:-1].split("|")][1:] for line in lines if line.startswith(("| bear", "| works"))
+    )
+    assert bear[0] == "bases (+1.00)"
+    assert workshop[0] == "series", "less than what is no difference"
+    assert bear[header.index("tracks, %")] == "marbles (-1.00)", "less is better"
+    assert bear[header.index("from aside")] == "–"
+
+    page = tmp_path / "page.md"
+    page.write_text("before\n" + "\nold\n".join(PAGE_MARKS) + "\nafter\n")
+    for _ in range(2):
+        fill_page(page, found)
+    text = page.read_text()
+    assert text.startswith("before\n")
+    assert text.endswith("\nafter\n")
+    assert text.count("bases (+1.00)") >= 1
+    assert text.count(PAGE_MARKS[0]) == 1
+    assert "old" not in text
+    with pytest.raises(InputError, match="no results"):
+        fill_page(page, [])
+    page.write_text("nothing")
+    with pytest.raises(InputError, match="has no lines"):
+        fill_page(page, found)
 
 
 def test_without_runs_the_page_says_so(tmp_path):
@@ -197,6 +230,17 @@ def test_rendered_scenes_hold_out_times_beside_their_cameras(runs_root):
     tiny = next(scene for scene in ablation_scenes(runs_root, 32) if scene.case.scene == "tiny")
     assert benchmark.hold_out(tiny).case.config.input.holdout_frames == list_heldout(12)
     assert benchmark.hold_out(tiny).name == "tiny_gaps"
+
+
+def test_rendered_scenes_also_come_with_priors_of_our_own(runs_root):
+    scenes_by_name = {scene.case.scene: scene for scene in benchmark.list_scenes(runs_root)}
+    assert {"bear", "tiny", "tiny-own"} <= scenes_by_name.keys()
+    assert "bear-own" not in scenes_by_name
+    true, own = (benchmark.hold_out(scenes_by_name[name]) for name in ("tiny", "tiny-own"))
+    assert (true.case.config.priors.priors, own.case.config.priors.priors) == ("true", "own")
+    assert (own.name, own.case.source) == ("tiny-own_gaps", true.case.source)
+    tuned = replace(true.case, scene="workshop"), replace(true.case, scene="workshop-own"), replace(true.case, scene="other-own")
+    assert [case.is_tuned for case in tuned] == [True, True, False]
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from flowsplat.gaussians.motion.sharing import SharedParameter
 PLANE_FEATURES = 16
 """Features of a plane. Chosen by eye."""
 PLANE_RESOLUTIONS = (32, 64)
-"""Cells along each axis of space, in the levels of the planes. Chosen by eye."""
+"""Values along each axis of space, in the levels of the planes; there is one cell fewer. Chosen by eye."""
 DECODER_WIDTH = 64
 """Of the hidden layer of the decoder, as in the paper."""
 PLANE_RATE, DECODER_RATE = 1.6e-3, 8e-4
@@ -34,7 +34,8 @@ class HexplaneMotion(FieldMotion):
 
     4D Gaussian Splatting for Real-Time Dynamic Scene Rendering, https://arxiv.org/abs/2310.08528, equations 5 and 6, after HexPlane
     and K-Planes. The scene has no bounds here: each axis is contracted, x / (1 + |x|), with the median depth at half of the way.
-    There are as many cells of time as splines have pieces (``knots``), and one decoder says all that there say several.
+    Along time a plane has ``knots`` values, so one cell fewer (a cubic spline of as many knots has three pieces fewer), and one
+    decoder says all that there say several.
     """
 
     knots: int
