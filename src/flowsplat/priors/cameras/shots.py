@@ -104,6 +104,11 @@ class _Frames:
     def are_torn(self, a: int, b: int) -> bool:
         return self.follow(a, b).is_torn
 
+    def measure_motion(self, first: int, last: int) -> float:
+        """Return pixels that points move from frame to frame, all in all; infinite where too few can be followed."""
+        steps = [self.follow(k, k + 1) for k in range(first, last)]
+        return sum(each.motion if each.share >= MIN_SURVIVORS else np.inf for each in steps)
+
     def are_calm(self, first: int, last: int) -> bool:
         """Return whether all neighbors between two frames share many points; so far as there are frames."""
         pairs = range(max(first, 0), min(last, len(self) - 1))
@@ -139,7 +144,10 @@ def find_transitions(images: Sequence[np.ndarray], seconds: np.ndarray) -> list[
             continue
         is_sudden = b - a - 1 <= flash
         is_blended = not any(frames.are_torn(k, k + 1) for k in range(a, b))
-        if is_blended:  # by how many frames is not known
+        if is_blended:
+            # What moves that far in a frame or two may be gone for that.
+            is_sudden &= frames.measure_motion(a, b) < MAX_CROSS_FADE_MOTION * frames.long_side
+            # By how many frames is not known.
             a, b = max(a - flash, 0), min(b + flash, len(frames) - 1)
         is_calm = frames.are_calm(a - CALM_PAIRS, a) and frames.are_calm(b, b + CALM_PAIRS)
         is_faded = shown[b] - shown[a] > b - a
