@@ -69,20 +69,22 @@ def run_shots(source: Path, out: Path, config: RunConfig, shots: Shots = "split"
     if kind == "scene":
         raise InputError(f"{out} holds the shots of a clip, not of a prepared scene: choose another folder with -o.")
     identity = stage_key(kind, fingerprint(source, config.input))
+    new: FoundShots | None = None
     if held is None:
         if out.exists() and any(out.iterdir()):
             return None  # which run refuses
         found = find_shots(source, config.input)
-        if isinstance(found, str):
-            report(found)
-        if not isinstance(found, _Found):
+        if not isinstance(found, FoundShots):
+            if found is not None:
+                report(found)
             return None
-        _report_estimate(source, found, config)
+        new = found
+        _report_estimate(source, new, config)
     with lease(out):
-        if held is None:
+        if new is not None:
             record = {
                 "version": VERSION, "input": str(source), "fingerprint": identity,
-                "shots": [{"start": start, "end": end} for start, end in found.spans], "notes": found.notes,
+                "shots": [{"start": start, "end": end} for start, end in new.spans], "notes": new.notes,
             }  # fmt: skip
             write_json(RunPaths(out).shots_record_path, record)
         elif (before := read_json(RunPaths(out).shots_record_path, ShotsFile))["fingerprint"] != identity:
@@ -92,7 +94,7 @@ def run_shots(source: Path, out: Path, config: RunConfig, shots: Shots = "split"
         try:
             return _run_all(source, out, config)
         except InputError:
-            if held is None and not any(RunPaths(out).shots_path.glob("*/run.json")):
+            if new is not None and not any(RunPaths(out).shots_path.glob("*/run.json")):
                 _forget(out)
             raise
 
@@ -174,14 +176,14 @@ def export_shots(out: Path, path: Path | None, options: ExportOptions) -> Path:
 
 
 @dataclass(frozen=True)
-class _Found:
+class FoundShots:
     """Shots of a clip: first and last second of each, and sentences on all."""
 
     spans: list[tuple[float, float]]
     notes: list[str]
 
 
-def find_shots(source: Path, options: InputOptions) -> _Found | str | None:
+def find_shots(source: Path, options: InputOptions) -> FoundShots | str | None:
     """Look for the shots of a video or a folder of images.
 
     Returns:
@@ -212,7 +214,7 @@ def find_shots(source: Path, options: InputOptions) -> _Found | str | None:
             f"The clip has {len(pieces)} shots, and none of them {MIN_SHOT_FRAMES} frames that move: it stays one scene, in which "
             "they will be mixed."
         )
-    return _Found([span for _, span in kept], _word_all(pieces, [piece for piece, _ in kept], transitions, at) + unclear)
+    return FoundShots([span for _, span in kept], _word_all(pieces, [piece for piece, _ in kept], transitions, at) + unclear)
 
 
 def _read_small(clip: Clip) -> list[np.ndarray]:
@@ -262,7 +264,7 @@ def _word_all(pieces: Sequence[Piece], kept: Sequence[Piece], transitions: Seque
     return notes
 
 
-def _report_estimate(source: Path, found: _Found, config: RunConfig) -> None:
+def _report_estimate(source: Path, found: FoundShots, config: RunConfig) -> None:
     for note in found.notes:
         report(note)
     total = dict.fromkeys(STAGES, 0.0)

@@ -134,7 +134,7 @@ def find_transitions(images: Sequence[np.ndarray], seconds: np.ndarray) -> list[
     shown = np.flatnonzero(~find_fades(contrasts, seconds))
     if len(shown) < 2:
         return []
-    frames = _Frames([images[i] for i in shown])
+    frames = _Frames([images[i] for i in shown.tolist()])
     rate = 1 / float(np.median(np.diff(seconds)))
     flash = max(1, round(FLASH_SECONDS * rate))
     clusters = _cluster(_find_torn(frames, shown), flash)
