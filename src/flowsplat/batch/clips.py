@@ -103,7 +103,7 @@ def _is_folder_of_clips(folder: Path) -> bool:
 def _within(folder: Path, out: Path, depth: int = 0) -> Iterator[Path]:
     """Yield the clips in a folder, by name; what is hidden, or a run, is none."""
     for path in sorted(folder.iterdir()):
-        if path.name.startswith(".") or Path(os.path.abspath(path)) == out or RunPaths(path).record_path.exists():
+        if path.name.startswith(".") or Path(os.path.abspath(path)) == out or RunPaths(path).holds_run:
             continue
         if path.is_file():
             if path.suffix.lower() in VIDEO_SUFFIXES:

@@ -3,9 +3,9 @@
 import re
 
 USUAL_OPTIONS = (
-    "-h", "-o", "--preset", "--workers", "--memory", "--shard", "--engine", "--status", "--retry", "--only", "--device", "--start",
-    "--end", "--every", "--max-frames", "--resize", "--holdout", "--mask-click", "--contact", "--cameras.focal", "--given.masks",
-    "--train.iterations", "--gaussians", "--render.paths",
+    "-h", "-o", "--preset", "--workers", "--memory", "--shard", "--engine", "--status", "--retry", "--only", "--device", "--shots",
+    "--start", "--end", "--every", "--max-frames", "--resize", "--holdout", "--mask-click", "--contact", "--cameras.focal",
+    "--given.masks", "--train.iterations", "--gaussians", "--render.paths",
 )  # fmt: skip
 """The options that --help shows of a command with more than ``SHORT_HELP_OPTIONS`` of them; --help-all shows all."""
 SHORT_HELP_OPTIONS = 40

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,11 +26,15 @@ def run_defaults(arguments: Sequence[str]) -> RunConfig:
         InputError: the record of the run is damaged, or there is no such preset.
     """
     from flowsplat.pipeline.folder import RunFolder
+    from flowsplat.pipeline.shot_list import resolve_run
 
     defaults = preset_defaults(arguments)
     for argument in arguments[1:]:
-        if not argument.startswith("-") and RunPaths(Path(argument)).record_path.exists():
-            stored = RunFolder(Path(argument)).config
+        if argument.startswith("-"):
+            continue
+        path = resolve_run(Path(argument))
+        if RunPaths(path).record_path.exists():
+            stored = RunFolder(path).config
             return replace(stored, train=defaults.train) if value_of(arguments, "--preset") else stored
     return defaults
 
@@ -46,6 +50,23 @@ def change_run(out: Path, **changes: Any) -> Iterator[Any]:
         folder.config = replace(folder.config, **changes)
         folder.save()
         yield folder
+
+
+def print_shot_figures(metrics: Mapping[str, Mapping[str, Any]], out: Path) -> None:
+    """Print the figures of the shots of a clip beside each other, and what to do next.
+
+    Args:
+        metrics: as in metrics.json, by the name of the shot.
+        out: folder that holds their runs.
+    """
+    from flowsplat.pipeline.shots import word_next_steps
+    from flowsplat.pipeline.summary import figures_table
+
+    console.print(figures_table({f"shot {name}": figures for name, figures in metrics.items()}))
+    if any(figures["heldout_frames"] is not None for figures in metrics.values()):
+        report(HOLDOUT_NOTE)
+    for line in word_next_steps(out):
+        report(line)
 
 
 def print_figures(metrics: dict[str, Any], out: Path) -> None:

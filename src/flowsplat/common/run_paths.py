@@ -22,6 +22,21 @@ class RunPaths:
         return self.path / "run.json"
 
     @property
+    def holds_run(self) -> bool:
+        """Whether a run is there, or the runs of the shots of a clip."""
+        return self.record_path.exists() or self.shots_record_path.exists()
+
+    @property
+    def shots_record_path(self) -> Path:
+        """Which shots a clip has, where the folder holds a run of each in place of one of its own."""
+        return self.path / "shots.json"
+
+    @property
+    def shots_path(self) -> Path:
+        """The runs of the shots, each in a folder of its number."""
+        return self.path / "shots"
+
+    @property
     def scene_path(self) -> Path:
         """The prepared scene."""
         return self.path / "scene"

@@ -18,6 +18,7 @@ from flowsplat.output.videos import list_frame_rates, list_rendered
 from flowsplat.pipeline.config import format_option
 from flowsplat.pipeline.folder import RunFolder
 from flowsplat.pipeline.python_run import Run
+from flowsplat.pipeline.shot_list import resolve_run
 from flowsplat.pipeline.stages import read_metrics
 from flowsplat.pipeline.summary import comparisons, list_rows, pick_all
 from flowsplat.scenes import Scene
@@ -48,7 +49,7 @@ def compare(*runs: str | Path | Run, out: str | Path | None = None) -> Path:
         Traceback (most recent call last):
         flowsplat.common.errors.InputError: out/clip is named twice: compare different runs.
     """
-    folders = [run.folder if isinstance(run, Run) else Path(run) for run in runs]
+    folders = [run.folder if isinstance(run, Run) else resolve_run(Path(run)) for run in runs]
     if not 2 <= len(folders) <= MAX_RUNS:
         raise InputError(f"{len(folders)} run(s) to compare: name 2 to {MAX_RUNS} folders of runs.")
     resolved = [folder.resolve() for folder in folders]

@@ -17,6 +17,7 @@ from flowsplat.common.run_paths import RunPaths
 from flowsplat.images.html import NOTHING
 from flowsplat.output.report import verdict
 from flowsplat.pipeline.folder import MetricsFile, RunFolder
+from flowsplat.pipeline.shot_list import ShotList, read_shots
 from flowsplat.priors.graph import PRIORS
 from flowsplat.scenes import Scene
 from flowsplat.training.checkpoint import ModelFile
@@ -33,6 +34,8 @@ def describe(path: Path | None) -> Iterator[str]:
     if path is not None:
         if RunPaths(path).record_path.exists():
             yield from _describe_run(RunFolder(path))
+        elif (listed := read_shots(path)) is not None:
+            yield from _describe_shots(path, listed)
         elif (path / "scene.json").exists():
             yield from _describe_scene(Scene(path))
         else:
@@ -53,6 +56,20 @@ def _version(package: str) -> str:
 
 def _figure(value: float | None, digits: int) -> str:
     return NOTHING if value is None else f"{value:.{digits}f}"
+
+
+def _describe_shots(path: Path, listed: ShotList) -> Iterator[str]:
+    yield f"Shots {path}: {len(listed.shots)}, each a run of its own"
+    if (who := holder(path)) is not None:
+        yield f"  is being written by {who}"
+    for note in listed.notes:
+        yield f"  {note}"
+    for shot in listed.shots:
+        yield f"Shot {shot}"
+        if RunPaths(shot.path).record_path.exists():
+            yield from _describe_run(RunFolder(shot.path))
+        else:
+            yield "  not begun yet"
 
 
 def _describe_run(folder: RunFolder) -> Iterator[str]:

@@ -25,6 +25,7 @@ from flowsplat.output.videos import RenderOptions, settle
 from flowsplat.pipeline.compiling import are_missing
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import RunFolder, Stage, stage_key
+from flowsplat.pipeline.left_out import word_left_out
 from flowsplat.pipeline.speed import MIN_OWN_SECONDS, STAGES, Speed, TimeEstimate, Watch, estimate_memory, estimate_seconds
 from flowsplat.priors.graph import PRIORS
 from flowsplat.priors.options import names_places
@@ -154,6 +155,8 @@ def _compute_scene(
     compiling = are_missing(pick_device(config.device).type)
     speed, reference = Speed(config.device), estimate_seconds(scene, config, compiling)
     _report_estimate(scene, speed.estimate(reference), compiling)
+    if kind != "scene" and (left_out := word_left_out(scene, config, speed)):
+        report(left_out)
     ingested = time.perf_counter() - started
     if show is not None and tells:
         show()

@@ -20,6 +20,7 @@ from flowsplat.pipeline import stages
 from flowsplat.pipeline.config import RunConfig, check, find_setting, format_option
 from flowsplat.pipeline.config import preset as settings_of
 from flowsplat.pipeline.renamed_options import find_renamed_option
+from flowsplat.pipeline.shot_list import resolve_run
 from flowsplat.scenes import Scene
 
 
@@ -43,7 +44,7 @@ class Run:
         Raises:
             InputError: the folder holds none.
         """
-        self.folder = Path(folder)
+        self.folder = resolve_run(Path(folder))
         if not RunPaths(self.folder).record_path.exists():
             raise InputError(f"{self.folder} is no run: it has no run.json.")
 

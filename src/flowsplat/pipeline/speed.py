@@ -94,6 +94,12 @@ def estimate_seconds_of_clip(clip: Clip, config: RunConfig) -> dict[str, float]:
     return _estimate_seconds(config, clip.width, clip.height, len(train), len(heldout))
 
 
+def estimate_seconds_with(scene: Scene, config: RunConfig, frames: int) -> dict[str, float]:
+    """Return the same of so many frames in place of those of the scene, as large a share of them held out."""
+    heldout = round(frames * len(scene.heldout_frames) / scene.num_frames)
+    return {"compiling": 0.0, **_estimate_seconds(config, scene.width, scene.height, frames - heldout, heldout)}
+
+
 def _estimate_seconds(config: RunConfig, width: int, height: int, train_frames: int, heldout: int) -> dict[str, float]:
     megapixels = width * height / 1e6
     all_frames = (train_frames + heldout) * megapixels

@@ -32,6 +32,7 @@ from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.fitting import HISTORY, final_key, fit_heldout, one_color_model, static_model, train, train_key, wants_final
 from flowsplat.pipeline.folder import MetricsFile, RunFolder, stage_key
 from flowsplat.pipeline.preparing import prepare_folder
+from flowsplat.pipeline.shot_list import resolve_run
 from flowsplat.pipeline.speed import Speed, Watch, estimate_seconds, estimate_seconds_of_clip
 from flowsplat.pipeline.summary import flow_comparisons, report_data
 from flowsplat.priors.objects import load_objects
@@ -105,7 +106,8 @@ def load(path: Path | str, device: str = "cpu") -> SceneModel:
         >>> model.first, round(model.last, 2)
         (0.0, 1.83)
     """
-    path, run = Path(path), RunPaths(path)
+    path = resolve_run(Path(path))
+    run = RunPaths(path)
     if run.record_path.exists() and has_model(run.all_frames_path):
         path = run.all_frames_path
     elif (run.model_path / "model.json").exists():

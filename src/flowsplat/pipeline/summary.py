@@ -20,6 +20,8 @@ from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.renderer import Renderer
 from flowsplat.output.report import Comparison, FlowComparison, ReportData
 from flowsplat.output.videos import list_rendered
+from flowsplat.pipeline.config import RunConfig
+from flowsplat.pipeline.left_out import word_left_out_after
 from flowsplat.priors.objects.description import word_hint
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import read_image
@@ -100,7 +102,7 @@ def suggest_hints(metrics: Mapping[str, Any]) -> list[str]:
 
 def report_data(
     out: Path, scene: Scene, flows: Sequence[FlowComparison], metrics: Mapping[str, Any],
-    history: Sequence[Mapping[str, float]], config: Any,
+    history: Sequence[Mapping[str, float]], config: RunConfig,
 ) -> ReportData:  # fmt: skip
     """Return what the report of the run in ``out`` tells, with ``flow_comparisons``.
 
@@ -111,7 +113,8 @@ def report_data(
     if len(counts) != len(scene.timestamps):
         raise InputError(f"{out / 'metrics.json'} counts Gaussians in {len(counts)} frames, the scene has {len(scene.timestamps)}.")
     notes = [*scene.info.notes, *([SHOWN_NOTE] if metrics.get("shown") != metrics.get("measured") else [])]
-    notes += suggest_hints(metrics)
+    left_out = word_left_out_after(scene, config, metrics)
+    notes += [*([left_out] if left_out else []), *suggest_hints(metrics)]
     verdicts = [str((scene.prior(name) or {}).get("verdict", "")) for name in ("cameras", "depth", "masks")]
     return ReportData(
         title=scene.name,

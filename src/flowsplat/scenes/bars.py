@@ -215,6 +215,15 @@ class CroppedClip(Clip):
         for image in self.whole.frames(numbers):
             yield resize_image(self._cut(image), (self.width, self.height))
 
+    def look(self) -> Iterator[np.ndarray | None]:
+        for image in self.whole.look():
+            if image is None:
+                yield None
+                continue
+            scale = np.tile(np.array(image.shape[::-1]) / (self.whole.width, self.whole.height), 2)
+            left, top, right, bottom = np.rint(self.box * scale).astype(int)
+            yield np.ascontiguousarray(image[top:bottom, left:right])
+
     def mask(self, i: int) -> np.ndarray:
         return resize_labels(self._cut(self.whole.mask(i)), (self.width, self.height))
 
@@ -250,5 +259,5 @@ def cut_bars(whole: Clip, options: InputOptions) -> Clip:
     return CroppedClip(
         name=whole.name, source=whole.source, width=size[0], height=size[1], timestamps=whole.timestamps,
         source_fps=whole.source_fps, notes=notes, audio=whole.audio, audio_start=whole.audio_start,
-        has_masks=whole.has_masks, whole=whole, box=(left, top, right, bottom),
+        begin=whole.begin, available=whole.available, has_masks=whole.has_masks, whole=whole, box=(left, top, right, bottom),
     )  # fmt: skip

@@ -20,7 +20,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.settings import LEFT_OUT_BY_DEFAULT
 from flowsplat.geometry import Camera
 from flowsplat.scenes.layers import Depth, Flow, Tracks
-from flowsplat.scenes.repeats import FADE_SECONDS, MAX_REPEATS, find_fades, find_repeats, measure_changes
+from flowsplat.scenes.repeats import FADE_SECONDS, MAX_REPEATS, find_fades, find_repeats, look_size, measure_changes
 from flowsplat.scenes.scene import HeldoutView, split_frames
 
 LONG_SIDE = 854
@@ -91,12 +91,16 @@ class Selection:
         numbers: [T] rising numbers of frames in the input.
         timestamps: [T] float64 seconds, the first 0.
         start: seconds of the input's own time at the first chosen frame.
+        begin: seconds from the first frame of the input to the first chosen one.
+        available: frames from which they were thinned out.
         notes: what was dropped and which option changes it, in sentences for the user.
     """
 
     numbers: np.ndarray
     timestamps: np.ndarray
     start: float
+    begin: float
+    available: int
     notes: list[str]
 
 
@@ -150,7 +154,9 @@ def select_frames(seconds: np.ndarray, options: InputOptions, source: str, look:
             f"Kept frames are up to {widest:.1f} seconds apart, which is wide for following motion: "
             "choose a shorter piece with --start and --end."
         )
-    return Selection(numbers, elapsed[numbers] - elapsed[numbers[0]], float(seconds[numbers[0]]), notes)
+    return Selection(
+        numbers, elapsed[numbers] - elapsed[numbers[0]], float(seconds[numbers[0]]), float(elapsed[numbers[0]]), len(inside), notes
+    )
 
 
 def _choose_every(count: int, options: InputOptions) -> int:
@@ -267,6 +273,8 @@ class Clip(ABC):
         notes: what was dropped or converted and which option changes it, in sentences for the user.
         audio: file with the sound that belongs to the clip.
         audio_start: seconds in that file's presentation time at which the clip starts.
+        begin: seconds from the first frame of the input to that of the clip, as ``--start`` counts them.
+        available: frames of the input that the chosen ones were thinned out from; None where they were not.
         has_masks: whether masks came with the input.
         truth: what is known exactly.
         cameras: [T] calibrated ones that came with the input, in the coordinates of its views and at the working size.
@@ -281,6 +289,8 @@ class Clip(ABC):
     notes: list[str] = field(default_factory=list)
     audio: Path | None = None
     audio_start: float = 0.0
+    begin: float = 0.0
+    available: int | None = None
     has_masks: bool = False
     truth: Truth | None = None
     cameras: Sequence[Camera] | None = None
@@ -315,6 +325,12 @@ class Clip(ABC):
         Raises:
             InputError: an image cannot be read.
         """
+
+    def look(self) -> Iterator[np.ndarray | None]:
+        """Yield all frames as gray images [h, w] uint8 of ``repeats.look_size``; None where one cannot be read."""
+        size = look_size(self.width, self.height)
+        for image in self.frames(range(self.num_frames)):
+            yield resize_image(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), size)
 
     def mask(self, i: int) -> np.ndarray:
         """Return [H, W] uint8: object numbers of frame ``i``, 0 = background; only where ``has_masks``."""

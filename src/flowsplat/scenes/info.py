@@ -50,6 +50,8 @@ class SceneInfo:
     """What is known of the cameras while the images are being straightened."""
     images_replaced: bool = False
     """Whether all new images are there and are being moved to their places."""
+    input_frames: Count | None = None
+    """Frames of the input that those of the clip were thinned out from, where they were."""
     oracle: Mapping[str, Any] | None = None
     """Which oracle of which scene this is (``flowsplat_benchmarks.oracles``)."""
     more: Mapping[str, Any] = field(default_factory=dict)
@@ -68,5 +70,5 @@ class SceneInfo:
 
 
 _KEYS = tuple(each.name for each in dataclasses.fields(SceneInfo) if each.name != "more")
-_MARKS = ("ingested", "lens", "straightening", "images_replaced", "oracle")
+_MARKS = ("ingested", "lens", "straightening", "images_replaced", "input_frames", "oracle")
 """Keys that are in the file only while they say something."""

@@ -164,6 +164,7 @@ def _open_or_create(clip: Clip, folder: Path, options: InputOptions) -> Scene:
         heldout=options.holdout_frames,
         source_fps=clip.source_fps,
         notes=clip.notes,
+        input_frames=clip.available if (clip.available or 0) > clip.num_frames else None,
     )
 
 

@@ -164,6 +164,7 @@ class Scene(Layers):
         notes: Sequence[str] = (),
         audio: str | None = None,
         audio_start: float = 0.0,
+        input_frames: int | None = None,
     ) -> Scene:
         """Start a scene folder with its split; frames and layers are written into it afterwards.
 
@@ -174,6 +175,7 @@ class Scene(Layers):
             heldout: numbers of frames that are held out instead; none = those that ``holdout`` says.
             notes: what was done to the input, in sentences for the user.
             audio: the name of the file in the folder with the sound, and at which second of it the clip starts.
+            input_frames: frames that these were thinned out from; None = all were taken.
         """
         train, heldout = split_frames(len(timestamps), holdout, heldout)
         make_folder(Path(folder))
@@ -181,6 +183,7 @@ class Scene(Layers):
             version=VERSION, name=name, source=source, width=width, height=height,
             source_fps=source_fps, timestamps=list(map(float, timestamps)), train=train, heldout=heldout,
             notes=list(notes), audio=audio, audio_start=audio_start, priors={}, similarity=None,
+            input_frames=input_frames,
         )  # fmt: skip
         write_json(Path(folder) / "scene.json", info.to_json())
         return Scene(folder)

@@ -31,6 +31,7 @@ def build(defaults: RunConfig) -> Callable[..., None]:
         """
         from flowsplat import pipeline
 
+        out = pipeline.resolve_run(out)
         with change_run(out, baselines=baselines, refine_poses=refine_poses, device=device) as folder:
             metrics = pipeline.evaluate_run(folder, lpips)
         print_figures(metrics, out)

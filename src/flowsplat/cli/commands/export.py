@@ -26,15 +26,21 @@ def build(defaults: RunConfig) -> Callable[..., None]:
         """A trained run in the format of other programs, or as a page that plays it: one .html, no network, no server.
 
         Args:
-            out: Folder of the run.
+            out: Folder of the run. Of a clip with several shots html makes one page of all, which plays them one after the other.
             to: FORMATS
             path: File or folder to write; without it, in RUN/export.
             options: What and how.
         """
         from flowsplat import pipeline
         from flowsplat.output.export import export_scene
+        from flowsplat.pipeline.shot_list import read_shots
         from flowsplat.scenes import Scene
 
+        listed = read_shots(out)
+        if to == "html" and listed is not None and len(listed.shots) > 1:
+            report(f"Written: {pipeline.export_shots(out, path, options)}")
+            return
+        out = pipeline.resolve_run(out)
         one_color = pipeline.one_color_of(out)
         report(f"Written: {export_scene(pipeline.load(out), Scene(out / 'scene'), to, path, options, one_color)}")
 

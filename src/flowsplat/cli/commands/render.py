@@ -43,6 +43,7 @@ def build(defaults: RunConfig) -> Callable[..., None]:
             return
         if path is not None:
             raise InputError(f"{out} is a run, whose videos go into {out}/renders: leave out -o, which is for files.")
+        out = pipeline.resolve_run(out)
         with change_run(out, device=device) as run:
             pipeline.render_run(run, render)
         report(f"Videos: {out}/renders")

@@ -33,6 +33,7 @@ def tracks(out: Run, at: Points = (), queries: Path | None = None, path: Target 
     from flowsplat.output.tracks import read_queries, write_tracks
     from flowsplat.scenes import Scene
 
+    out = pipeline.resolve_run(out)
     model, scene = pipeline.load(out), Scene(RunPaths(out).scene_path)
     wanted = read_queries([point for some in at for point in some], queries, scene)
     written, found = write_tracks(model, scene, wanted, path or out / "export" / "tracks.json")

@@ -29,6 +29,7 @@ def build(defaults: RunConfig) -> Callable[..., None]:
         """
         from flowsplat import pipeline
 
+        out = pipeline.resolve_run(out)
         with change_run(out, train=train, device=device) as folder:
             pipeline.train(folder)
         report(f"Trained: {out}/model. Next: flowsplat evaluate {out}")

@@ -33,7 +33,9 @@ def view(
     if not is_splat_file(out):
         if path is not None:
             raise InputError(f"{out} is a run, which keeps in {out}/viewer what is saved: leave out -o, which is for files.")
-        serve(out, options)
+        from flowsplat.pipeline import resolve_run
+
+        serve(resolve_run(out), options)
         return
     from flowsplat.pipeline.splat_file import open_splat_file
 

@@ -53,15 +53,15 @@ def write_player(
     packed = pack(model, times, cameras, title)
     cameras_about = camera_paths(model, times, cameras, widths)
     poster = model.render(cameras[0], float(times[0])).color
-    template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(_asset("player.html"))
-    script = "\n".join(("", '"use strict";', *map(_asset, SCRIPTS), ""))
+    template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(read_asset("player.html"))
+    script = player_script()
     page = template.render(
         title=title,
         paths=cameras_about["paths"],
-        policy=_policy(script),
+        policy=make_policy(script),
         poster=data_uri(np.ascontiguousarray(poster), _POSTER_QUALITY),
-        about=_json({**packed.about, **cameras_about}),
-        shaders=_json({name: _asset(name) for name in SHADERS}),
+        about=make_json({**packed.about, **cameras_about}),
+        shaders=make_json({name: read_asset(name) for name in SHADERS}),
         data=Markup(base64.b64encode(packed.data).decode()),
         script=Markup(script),
     )
@@ -69,18 +69,25 @@ def write_player(
     return Path(path)
 
 
-def _policy(script: str) -> str:
-    """Return what a browser lets the page do: run this script and its worker, show what the page holds, and fetch nothing."""
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    allowed = (f"script-src 'sha256-{digest}'", "worker-src blob:", "img-src data: blob:", "style-src 'unsafe-inline'")
+def player_script() -> str:
+    """Return the script of the page."""
+    return "\n".join(("", '"use strict";', *map(read_asset, SCRIPTS), ""))
+
+
+def make_policy(*scripts: str) -> str:
+    """Return what a browser lets the page do: run these scripts and its worker, show what the page holds, and fetch nothing."""
+    digests = (base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts)
+    run = " ".join(("script-src", *(f"'sha256-{digest}'" for digest in digests)))
+    allowed = (run, "worker-src blob:", "img-src data: blob:", "style-src 'unsafe-inline'")
     return "; ".join(("default-src 'none'", *allowed, "base-uri 'none'", "form-action 'none'"))
 
 
-def _asset(name: str) -> str:
+def read_asset(name: str) -> str:
+    """Return the text of a file of the page."""
     return (files("flowsplat.output.player") / "assets" / name).read_text(encoding="utf-8")
 
 
-def _json(value: Any) -> Markup:
-    """JSON that may stand in a script element, whatever names it holds."""
+def make_json(value: Any) -> Markup:
+    """Return JSON that may stand in a script element, whatever names it holds."""
     text = json.dumps(value, separators=(",", ":"), allow_nan=False)
     return Markup(text.replace("<", "\\u003c"))

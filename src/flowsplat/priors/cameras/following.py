@@ -91,7 +91,7 @@ def follow_points(scene: Scene) -> tuple[np.ndarray, list[int]]:
         if size != (scene.width, scene.height):
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
         if before is not None:
-            expected = points + _coarse_flow(before, image, points)
+            expected = points + coarse_flow(before, image, points)
             points, ok = refine_points(before, image, points, expected, PATCH_SIDE)
             numbers, points = numbers[ok], points[ok]
             oldest = oldest_of_crowds(points, 0.6 * spacing)
@@ -106,7 +106,7 @@ def follow_points(scene: Scene) -> tuple[np.ndarray, list[int]]:
     return table.values(scene.num_frames) * to_frame, blank
 
 
-def _coarse_flow(before: np.ndarray, image: np.ndarray, points: np.ndarray) -> np.ndarray:
+def coarse_flow(before: np.ndarray, image: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return [N, 2] displacements of ``points``, right to about a pixel: where the refinement begins."""
     if min(image.shape) < 2 * MIN_FLOW_SIDE:
         return sample_map(dis_flow(before, image), points)

@@ -38,13 +38,23 @@ def find_breaks(positions: np.ndarray, shown: Sequence[int]) -> list[int]:
 
 def _is_torn(positions: np.ndarray, seen: np.ndarray, a: int, b: int) -> bool:
     both = seen[:, a] & seen[:, b]
-    share = both.sum() / max(int(seen[:, a].sum()), 1)
-    if both.sum() < MIN_TRACKS or share < MIN_SURVIVORS:
+    return are_torn(positions[both, a], positions[both, b], int(seen[:, a].sum()))
+
+
+def are_torn(a: np.ndarray, b: np.ndarray, count: int) -> bool:
+    """Return whether two frames show different places, or cannot be told to show the same.
+
+    Args:
+        a: [M, 2] pixels of the points of the first that were found in the second; ``b`` where they are there.
+        count: points of the first that were looked for.
+    """
+    share = len(a) / max(count, 1)
+    if len(a) < MIN_TRACKS or share < MIN_SURVIVORS:
         return True
     if share >= FEW_SURVIVORS:
         return False
     # Noise and foreign images always offer some points that look alike, but those move every way.
-    _, together = cv2.findHomography(positions[both, a], positions[both, b], cv2.RANSAC, HOMOGRAPHY_TOLERANCE)
+    _, together = cv2.findHomography(a, b, cv2.RANSAC, HOMOGRAPHY_TOLERANCE)
     return together is None or together.mean() < MIN_HOMOGRAPHY_SHARE
 
 

@@ -227,6 +227,11 @@ class VideoClip(Clip):
             "Copy it again, or leave the damage out with --start and --end."
         )
 
+    def look(self) -> Iterator[np.ndarray | None]:
+        # Gray as it is stored, and small at once: no colors are converted.
+        for image in _look(self.path, self.index, self.numbers, look_size(*self.coded_size)):
+            yield None if image is None else orient(image, self.matrix)
+
     def _image(self, frame: av.VideoFrame) -> np.ndarray:
         _check_frame(frame, self.path)
         if (frame.width, frame.height) != self.coded_size:
@@ -279,6 +284,8 @@ def open_video(path: Path, options: InputOptions) -> VideoClip:
         notes=notes + resize_notes + colors.notes,
         audio=path if has_audio else None,
         audio_start=selection.start,
+        begin=selection.begin,
+        available=selection.available,
         path=path,
         index=index,
         numbers=selection.numbers,

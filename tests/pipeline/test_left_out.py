@@ -1,0 +1,65 @@
+"""A run of a long clip says what it left out, and what all frames would cost; one of a short clip says nothing of that."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from flowsplat.common.settings import with_settings
+from flowsplat.pipeline.config import RunConfig
+from flowsplat.pipeline.left_out import word_left_out, word_left_out_after
+from flowsplat.pipeline.speed import Speed, estimate_seconds, estimate_seconds_with
+from flowsplat.scenes import Scene
+from flowsplat.scenes.clip import InputOptions
+from flowsplat.scenes.ingest import ingest, open_clip
+from flowsplat.scenes.layers import write_image
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A clip of 60 frames at 24 a second."""
+    path, rng = tmp_path_factory.mktemp("long") / "images", np.random.default_rng(0)
+    path.mkdir()
+    for i in range(60):
+        write_image(path / f"{i:03d}.png", rng.integers(0, 255, (48, 64, 3), dtype=np.uint8))
+    return path
+
+
+def test_frames_that_are_left_out_are_said_with_their_price(folder, tmp_path):
+    options = InputOptions(max_frames=20)
+    scene = ingest(open_clip(folder, options), tmp_path / "scene", options)
+    config = with_settings(RunConfig(), {"input.max_frames": 20})
+    assert json.loads((tmp_path / "scene" / "scene.json").read_text())["input_frames"] == 60
+    said = word_left_out(Scene(scene.folder), config, Speed("cpu"))
+    assert said is not None
+    assert re.fullmatch(r"Used 20 of 60 frames, 8 a second: --max-frames 60 takes about .+ and 0\.\d GiB here\.", said)
+    every = with_settings(RunConfig(), {"input.max_frames": 20, "input.every": 3})
+    assert "--every 1 --max-frames 60 takes" in str(word_left_out(scene, every, Speed("cpu")))
+
+
+def test_a_measured_run_tells_by_what_it_took(folder, tmp_path):
+    options = InputOptions(max_frames=20)
+    scene = ingest(open_clip(folder, options), tmp_path / "scene", options)
+    config = RunConfig()
+    longer = sum(estimate_seconds_with(scene, config, 60).values()) / sum(estimate_seconds(scene, config).values())
+    assert longer > 1
+    said = word_left_out_after(scene, config, {"seconds": {"train": 500.0, "flow": 100.0}})
+    assert f"takes about {600 * longer / 60:.0f} minutes" in str(said)
+    assert word_left_out_after(scene, config, {}) is None
+
+
+def test_nothing_is_said_where_all_frames_are_used(folder, tmp_path):
+    options = InputOptions()
+    scene = ingest(open_clip(folder, options), tmp_path / "scene", options)
+    assert "input_frames" not in json.loads((tmp_path / "scene" / "scene.json").read_text())
+    assert word_left_out(scene, RunConfig(), Speed("cpu")) is None
+    assert word_left_out_after(scene, RunConfig(), {"seconds": {"train": 10.0}}) is None
+
+
+def test_the_same_number_of_frames_costs_the_same(folder, tmp_path):
+    options = InputOptions(max_frames=20)
+    scene = ingest(open_clip(folder, options), tmp_path / "scene", options)
+    assert estimate_seconds_with(scene, RunConfig(), 20) == estimate_seconds(scene, RunConfig())
