@@ -31,6 +31,7 @@ from flowsplat.output.viewer.messages import Gate
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.describe import describe
 from flowsplat.pipeline.folder import RunFolder
+from flowsplat.pipeline.shot_list import read_shots
 from flowsplat.pipeline.splat_file import make_cameras, make_model
 from flowsplat.pipeline.stages import read_history, read_metrics
 from flowsplat.pipeline.summary import figures_table, report_data
@@ -117,6 +118,7 @@ def make_originals(root: Path) -> None:
     _messages(root / "messages")
     _splat_files(root / "splats")
     _studio(root / "studio")
+    _shots(root / "shots")
 
 
 def _run(folder: Path) -> None:
@@ -288,6 +290,13 @@ def _camera_files(folder: Path) -> None:
     (folder / "queries.csv").write_text("# u,v,frame\n1.5,2.5,0\n3,4,1\n")
 
 
+def _shots(folder: Path) -> None:
+    folder.mkdir()
+    shots = [{"start": 0.0, "end": 1.5}, {"start": 1.54, "end": 3.0}]
+    record = {"version": 1, "input": "clip.mp4", "fingerprint": "0" * 16, "shots": shots, "notes": ["Left out: 1 frame."]}
+    (folder / "shots.json").write_text(json.dumps(record))
+
+
 def _messages(folder: Path) -> None:
     from tests.output.viewer.test_messages import CAMERA, UPDATE, UPLOAD
 
@@ -425,6 +434,14 @@ def _read_queries(folder: Path) -> None:
         read_queries((), folder / name, scene)
 
 
+def _read_shots(folder: Path) -> None:
+    found = read_shots(folder)
+    assert found is not None
+    for shot in found.shots:
+        assert str(shot)
+        assert folder in shot.path.parents
+
+
 def _read_splats(folder: Path) -> None:
     for path in sorted(folder.iterdir()):
         if is_splat_file(path):
@@ -484,6 +501,7 @@ def _read_studio(folder: Path) -> None:
 
 READERS = (
     Reader("studio.json", "studio", ("walk/*",), _read_studio),
+    Reader("shots.json", "shots", ("*",), _read_shots),
     Reader("run.json, metrics.json", "run", ("run.json", "metrics.json"), _read_run),
     Reader("report", "run", ("metrics.json", "training/history.json", "renders/renders.json"), _read_report),
     Reader("scene.json, views.json", "run", ("scene/scene.json", "scene/views.json"), _read_scene),

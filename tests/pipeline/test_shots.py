@@ -97,6 +97,7 @@ def finished(clip, stopped, tmp_path_factory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_in_the_second_shot_goes_on_there(clip, stopped, tmp_path, capsys, monkeypatch):
     assert not (stopped / "shots" / "02" / "model").exists()
     assert json.loads((stopped / "shots" / "02" / "training" / "latest.json").read_text())["step"] == 3
@@ -112,6 +113,7 @@ def test_a_run_that_was_killed_in_the_second_shot_goes_on_there(clip, stopped, t
     assert changed <= {"run.json"}  # which counts the seconds that a command worked on it
 
 
+@pytest.mark.slow
 def test_each_shot_is_an_ordinary_run(clip, finished, tmp_path, capsys):
     record = json.loads((finished / "shots.json").read_text())
     assert record["input"] == str(clip)
@@ -186,7 +188,8 @@ def test_a_batch_takes_no_run_of_shots_for_clips(finished, tmp_path):
         find_clips([finished.parent], RunConfig(), tmp_path)
 
 
-@pytest.mark.parametrize("start_in_folder", [False, slow(True)])
+@pytest.mark.slow
+@pytest.mark.parametrize("start_in_folder", [False, True])
 def test_a_clip_without_cuts_is_the_run_that_it_was(single, tmp_path, capsys, start_in_folder):
     """The same files with the same bits, but for times and memory."""
     if start_in_folder:
@@ -265,7 +268,11 @@ def test_a_folder_of_shots_takes_no_other_input_and_no_single_scene(clip, single
     assert contents(stopped) == before
 
 
-@pytest.mark.parametrize("text", ["", "{}", '{"version": 1, "input": "a", "fingerprint": "b", "shots": [], "notes": []}', "[1]"])
+EMPTY = '{"version": 1, "input": "a", "fingerprint": "b", "shots": [], "notes": []}'
+BACKWARDS = '{"version": 1, "input": "a", "fingerprint": "b", "shots": [{"start": 2, "end": 1}], "notes": []}'
+
+
+@pytest.mark.parametrize("text", ["", "{}", BACKWARDS, EMPTY, "[1]"])
 def test_a_damaged_record_is_one_line(tmp_path, capsys, clip, text):
     (tmp_path / "shots.json").write_text(text)
     for command in (("run", clip, "-o", tmp_path), ("info", tmp_path), ("evaluate", tmp_path)):

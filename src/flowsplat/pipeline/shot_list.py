@@ -77,7 +77,11 @@ def read_shots(out: Path) -> ShotList | None:
     record = read_json(path, ShotsFile)
     if record["version"] > VERSION:
         raise InputError(f"{out} was written by a newer flowsplat. Update flowsplat.")
-    return ShotList(_place_shots(out, [(shot["start"], shot["end"]) for shot in record["shots"]]), list(record["notes"]))
+    spans = [(shot["start"], shot["end"]) for shot in record["shots"]]
+    times = [second for span in spans for second in span]
+    if times != sorted(times):
+        raise InputError(f"{path} is damaged: its shots do not follow one another.")
+    return ShotList(_place_shots(out, spans), list(record["notes"]))
 
 
 def resolve_run(out: Path) -> Path:
