@@ -3,9 +3,9 @@
     python examples/06_train_static.py MODEL IMAGES [--masks MASKS] [--steps 3000] [--size 480] [--strategy mcmc] [-o OUT]
 
 MODEL is a COLMAP text model with pinhole cameras (``colmap model_converter --output_type TXT``, or ``flowsplat export RUN --to
-colmap``), IMAGES the folder that the names in it begin in. Every eighth image is held out. MASKS has files with the names of the
-images, in the same folders or in none: where one is not black, something moves, and the pixel counts neither in training nor in
-PSNR.
+colmap``), IMAGES the folder that the names in it begin in. Images in a folder ``heldout`` (where the export has those of a
+clip) are held out, or every eighth where there is none. MASKS has files with the names of the images, in the same folders or in
+none: where one is not black, something moves, and the pixel counts neither in training nor in PSNR.
 """
 
 import argparse
@@ -50,6 +50,7 @@ for number, kind, *values in filter(None, rows_of("cameras.txt")):
     lenses[number] = numbers if kind == "PINHOLE" else [*numbers[:3], *numbers[2:]]
 View = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]  # image, which pixels count, viewmat, K
 views: list[View] = []
+apart: list[bool] = []
 for _, *pose, lens, name in sorted((row for row in rows_of("images.txt", 10)[::2] if row), key=lambda row: row[-1]):
     width, height, fx, fy, cx, cy = lenses[lens]
     image = cv2.imread(str(options.images / name))
@@ -70,7 +71,10 @@ for _, *pose, lens, name in sorted((row for row in rows_of("images.txt", 10)[::2
     across, down = size[0] / width, size[1] / height  # not factor: the size is rounded
     K = torch.tensor([[across * fx, 0, across * cx], [0, down * fy, down * cy], [0, 0, 1]])
     views.append((torch.from_numpy(image / np.float32(255)), counts, viewmat, K))
-heldout, training = views[7::8], [view for k, view in enumerate(views) if k % 8 != 7]
+    apart.append("heldout" in Path(name).parts)
+if not any(apart):
+    apart = [k % 8 == 7 for k in range(len(views))]
+heldout, training = ([view for view, is_apart in zip(views, apart, strict=True) if is_apart is kind] for kind in (True, False))
 
 # One Gaussian a point, as large as the mean distance to its three nearest neighbors.
 points = np.array([row[1:7] for row in rows_of("points3D.txt") if row], np.float32)
@@ -91,6 +95,7 @@ params = torch.nn.ParameterDict(
 distance = float((means - centers[0]).norm(dim=1).median())
 rates = {"means": 1.6e-4 * distance, "scales": 5e-3, "quats": 1e-3, "opacities": 5e-2, "sh0": 2.5e-3, "shN": 1.25e-4}
 optimizers = {name: torch.optim.Adam([params[name]], lr=rate, eps=1e-15) for name, rate in rates.items()}
+slowing = torch.optim.lr_scheduler.ExponentialLR(optimizers["means"], 0.01 ** (1 / options.steps))
 
 strategy: Any = None
 steps = options.steps
@@ -141,8 +146,9 @@ for step in range(steps):
         optimizer.step()
         optimizer.zero_grad(set_to_none=True)
     if strategy:
-        last = {"lr": rates["means"]} if options.strategy == "mcmc" else {"packed": True}
+        last = {"lr": slowing.get_last_lr()[0]} if options.strategy == "mcmc" else {"packed": True}
         strategy.step_post_backward(params, optimizers, state, step, info, **last)
+    slowing.step()
     if (step + 1) % max(steps // 5, 1) == 0:
         psnr = f"PSNR {measure(training[:8]):.2f} dB" + (f", held out {measure(heldout):.2f} dB" if heldout else "")
         print(f"step {step + 1}: {len(params['means'])} Gaussians, {psnr}, {time.perf_counter() - began:.0f} s")
