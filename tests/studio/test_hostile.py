@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
 import sys
@@ -16,8 +17,9 @@ from tests.studio.serving import Page, serve
 
 
 def files_of(page: Page, studio: Path) -> list[str]:
-    """What lies in a studio, its token and lock left out."""
-    return sorted(path.relative_to(studio).as_posix() for path in studio.rglob("*") if path.name not in (".token", ".lock"))
+    """What lies in a studio, its token and lock left out; folders may vanish while they are looked at, which ``rglob`` takes ill."""
+    found = [Path(folder, name) for folder, folders, files in os.walk(studio) for name in (*folders, *files)]
+    return sorted(path.relative_to(studio).as_posix() for path in found if path.name not in (".token", ".lock"))
 
 
 def is_empty(page: Page, studio: Path) -> bool:
