@@ -112,7 +112,7 @@ def test_the_viewer_opens_a_file(small, file, tmp_path, monkeypatch):
     """What is saved while one looks stays, and what it says can be rendered is rendered."""
     seen = []
     monkeypatch.setattr("flowsplat.output.viewer.server.view", lambda folder, options: seen.append((folder, Source(folder))))
-    monkeypatch.setattr("flowsplat.output.viewer.server._check_address", lambda *_: None)
+    monkeypatch.setattr("flowsplat.output.viewer.server.check_address", lambda *_: None)
     monkeypatch.chdir(tmp_path)
     main(["view", str(file)])
     main(["view", str(file), "-o", "other"])

@@ -17,7 +17,7 @@ from tests.studio.serving import Page, serve
 
 
 def files_of(page: Page, studio: Path) -> list[str]:
-    """What lies in a studio, its token and lock left out; folders may vanish while they are looked at, which ``rglob`` takes ill."""
+    """What lies in a studio, its token and lock left out. Folders may vanish meanwhile, which ``rglob`` takes ill."""
     found = [Path(folder, name) for folder, folders, files in os.walk(studio) for name in (*folders, *files)]
     return sorted(path.relative_to(studio).as_posix() for path in found if path.name not in (".token", ".lock"))
 
