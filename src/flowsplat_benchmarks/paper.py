@@ -18,6 +18,7 @@ from flowsplat_benchmarks.tables import Result, Table, describe_version, text
 
 TITLE = "The paper's tables beside ours"
 NOT_MEASURED = "not measured"
+NO_SCENES = "we do not have these scenes"
 PROTOCOLS = ("davis", "nvidia", "ablations", "models", "fields")
 METRICS = tuple(DIGITS)
 FIELDS = {"T-NeRF": "t-nerf", "HyperNeRF": "hypernerf"}
@@ -102,8 +103,9 @@ def _tell(results: Sequence[Result]) -> str:
     return scenes + (f"; {steps} steps" if steps else "") + (f"; {seeds} seeds" if seeds > 1 else "")
 
 
-def _find_ours(method: str, results: Sequence[Result]) -> _Ours:
-    """Return what stands beside a row of the paper's comparisons, but for its own method."""
+def _find_ours(method: str, results: Sequence[Result], scenes: Sequence[str]) -> _Ours:
+    """Return what stands beside a row of the paper's comparisons on these scenes, but for its own method."""
+    results = [result for result in results if str(result["scene"]).casefold() in {scene.casefold() for scene in scenes}]
     if method in FIELDS:
         found = _of(results, "fields", FIELDS[method])
         cores = sorted({str(result["cores"]) for result in found})
@@ -121,15 +123,14 @@ def _tabulate_nvidia(known: dict[str, Any], results: Sequence[Result]) -> Table:
     for method, values in known["methods"].items():
         published = [text(value, digits) for value, digits in zip(values[:3], (2, 2, 2), strict=True)]
         if method != OURS:
-            ours = _find_ours(method, results)
-            differs = f"other scenes: {ours.differs}" if ours.results else "we do not have these scenes"
-            rows.append((method, *published, *(ours.score(metric) for metric in METRICS), differs))
+            # Motion models and fields are measured on other scenes, whose figures would say nothing beside these.
+            rows.append((method, *published, *[NOT_MEASURED] * len(METRICS), NO_SCENES))
             continue
         found = _of(results, "nvidia")
         for how in dict.fromkeys(f"{each['variant']}, {each['settings']}" for each in found) or [""]:
             chosen = _Ours([each for each in found if f"{each['variant']}, {each['settings']}" == how], ("ours",), how)
             strong.append(len(rows))
-            differs = f"{how}; {_tell(chosen.results)}" if chosen.results else "we do not have these scenes"
+            differs = f"{how}; {_tell(chosen.results)}" if chosen.results else NO_SCENES
             rows.append((f"{method} (the paper)", *published, *(chosen.score(metric) for metric in METRICS), differs))
     header = (
         "method",
@@ -152,7 +153,7 @@ def _tabulate_davis(title: str, known: dict[str, Any], results: Sequence[Result]
                 _Ours([each for each in found if f"{each['variant']}, {each['settings']}" == how], ("ours",), how) for how in hows
             ]
         else:
-            groups = [_find_ours(method, results)]
+            groups = [_find_ours(method, results, known["scenes"])]
         for group in groups:
             of_scenes = [group.score(metric, scene) for scene in known["scenes"]]
             differs = (f"{group.differs}; {_tell(group.results)}" if method == OURS else group.differs) if group.results else ""

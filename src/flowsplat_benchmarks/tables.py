@@ -108,7 +108,7 @@ def format_table(header: Sequence[str], rows: Iterable[Sequence[str]], strong: S
     """Return the lines of a table; rows with the indices ``strong`` are bold."""
     lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
     for k, row in enumerate(rows):
-        lines.append("| " + " | ".join(f"**{cell}**" if k in strong else cell for cell in row) + " |")
+        lines.append("| " + " | ".join(f"**{cell}**" if k in strong and cell else cell for cell in row) + " |")
     return lines
 
 

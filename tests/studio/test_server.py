@@ -57,6 +57,7 @@ def test_a_clip_is_taken_shown_and_cut(page, clip):
     assert (cut["num_frames"], cut["duration"]) == (7, looks["duration"])
     assert cut["frames"][0] == [0, 0.5]
     assert "--start 0.5 --end 1.25" in page.get(f"/api/projects/{name}")["command"]
+    assert "--shots off" in page.get(f"/api/projects/{name}")["command"], "the page shows one scene, whatever cuts its clip has"
     status, said, _ = page.ask("PUT", f"/api/projects/{name}/choices", {**cut["choices"], "start": 1.4, "end": 1.45})
     assert status == 400
     assert "at least two frames" in said["error"]

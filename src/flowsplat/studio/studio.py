@@ -13,7 +13,7 @@ from flowsplat.common.progress import report
 from flowsplat.studio import results
 from flowsplat.studio.choices import Choices, keep_marks
 from flowsplat.studio.clips import Clips
-from flowsplat.studio.project import Project, list_projects
+from flowsplat.studio.project import RECORD, Project, list_projects
 from flowsplat.studio.standing import StandingReader
 from flowsplat.studio.tasks import Tasks
 from flowsplat.studio.uploads import Uploads
@@ -36,7 +36,6 @@ class Studio:
         self.clips, self.tasks, self.uploads = Clips(), Tasks(run_options), Uploads(folder, max_bytes)
         self.projects = {project.id: project for project in list_projects(folder)}
         self._standings: dict[str, StandingReader] = {}
-        self._gone: set[str] = set()
 
     def advance(self) -> None:
         """Note what has ended, begin what is due, and give up clips that no longer come. To be called again and again."""
@@ -88,14 +87,14 @@ class Studio:
         Raises:
             InputError: there is none of that name.
         """
-        if name not in self.projects or name in self._gone:
+        if name not in self.projects:
             raise InputError("There is no such scene (any more).")
         return self.projects[name]
 
     def summarize(self) -> list[dict[str, Any]]:
         """Return what the list shows, the newest first."""
-        shown = [project for name, project in self.projects.items() if name not in self._gone]
-        return [results.summarize(project) for project in sorted(shown, key=lambda each: -float(each.record["made"]))]
+        newest = sorted(self.projects.values(), key=lambda each: -float(each.record["made"]))
+        return [results.summarize(project) for project in newest]
 
     def describe(self, project: Project) -> dict[str, Any]:
         """Return all that the page shows of a project."""
@@ -170,7 +169,6 @@ class Studio:
         project.record["waiting"] = []
         self.tasks.kill(project)
         self.clips.forget(project.clip)
-        self._gone.add(project.id)
         self.projects.pop(project.id)
         self._standings.pop(project.id, None)
         return project.folder
@@ -183,7 +181,7 @@ def delete(folder: Path) -> None:
         InputError: it cannot be deleted.
     """
     try:
-        (folder / "studio.json").unlink(missing_ok=True)
+        (folder / RECORD).unlink(missing_ok=True)
         shutil.rmtree(folder)
     except OSError as error:
         raise InputError(f"{folder} cannot be deleted: {error.strerror or error}.") from error

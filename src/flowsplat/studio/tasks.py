@@ -45,7 +45,8 @@ def list_words(project: Project, what: str, run_options: Sequence[str] = ()) -> 
         InputError: there is no such format.
     """
     if what == "run":
-        places = [str(project.clip), "-o", str(project.run.path)]
+        # The page shows one scene: the cut is chosen on it.
+        places = [str(project.clip), "-o", str(project.run.path), "--shots", "off"]
         return ["flowsplat", "run", *places, *list_arguments(project.choices, run_options)]
     to = what.removeprefix("export ")
     return ["flowsplat", "export", str(project.run.path), "--to", EXPORTERS.entry(to).name]
