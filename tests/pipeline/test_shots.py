@@ -5,18 +5,23 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
 import flowsplat
+from flowsplat.batch.clips import BatchClip
+from flowsplat.batch.run_clip import run_clip
 from flowsplat.cli import main
 from flowsplat.common.errors import InputError
 from flowsplat.images.video import write_mp4
 from flowsplat.pipeline import run_shots
 from flowsplat.pipeline.config import RunConfig
+from flowsplat.pipeline.folder import RunFolder
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene
 from flowsplat.training.trainer import Trainer
@@ -186,6 +191,23 @@ def test_a_batch_takes_no_run_of_shots_for_clips(finished, tmp_path):
 
     with pytest.raises(InputError, match="no clip"):
         find_clips([finished.parent], RunConfig(), tmp_path)
+
+
+def test_a_batch_makes_one_record_of_all_shots(finished, clip, tmp_path, monkeypatch):
+    config = RunFolder(finished / "shots" / "01").config
+    config = replace(config, input=replace(config.input, start=None, end=None))
+    attempt = SimpleNamespace(fewer=False, needs=lambda gib: None)
+    monkeypatch.setattr(Trainer, "run", lambda self: pytest.fail("trained again"))
+    shutil.copytree(finished, tmp_path / "edited")
+    record = run_clip(BatchClip("edited", clip, config), tmp_path, None, attempt)
+    each = [json.loads((finished / "shots" / name / "metrics.json").read_text()) for name in ("01", "02")]
+    assert record["psnr"] == pytest.approx(np.mean([metrics["heldout_frames"]["psnr"] for metrics in each]))
+    assert record["gaussians"] == sum(metrics["gaussians"]["total"] for metrics in each)
+    assert record["stages"]["train"] == pytest.approx(sum(metrics["seconds"]["train"] for metrics in each))
+    assert record["verdict"].startswith("Shot 01: ")
+    assert " Shot 02: " in record["verdict"]
+    assert record["video"] == "edited/shots/01/renders/input_path_color.mp4"
+    assert (tmp_path / record["thumb"]).exists()
 
 
 @pytest.mark.slow

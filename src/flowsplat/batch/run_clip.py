@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Mapping
+import statistics
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,7 +20,7 @@ from flowsplat.batch.clips import BatchClip
 from flowsplat.batch.records import FOLDER
 from flowsplat.batch.upload import upload
 from flowsplat.batch.work import Attempt, Job
-from flowsplat.common.files import atomic_path
+from flowsplat.common.files import atomic_path, read_json
 from flowsplat.common.progress import report
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.source import source_state
@@ -29,6 +31,8 @@ from flowsplat.output.videos import list_rendered
 from flowsplat.pipeline import run
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.folder import RunFolder, stage_key
+from flowsplat.pipeline.shot_list import ShotsFile
+from flowsplat.pipeline.shots import run_shots
 from flowsplat.pipeline.speed import estimate_memory
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
@@ -46,6 +50,8 @@ FIGURES = {
     "interpolation_psnr": ("baselines", "flow_interpolation", "psnr"), "gaussians": ("gaussians", "total"),
 }  # fmt: skip
 """Of ``metrics.json``, which a record repeats."""
+WORST_FIRST = ("worse", "unmeasured", "even", "better")
+"""Grades of a path."""
 
 
 def clip_job(clip: BatchClip, out: Path, copies: str | None = None) -> Job:
@@ -63,13 +69,12 @@ def clip_job(clip: BatchClip, out: Path, copies: str | None = None) -> Job:
 
 
 def run_clip(clip: BatchClip, out: Path, copies: str | None, attempt: Attempt) -> Mapping[str, Any]:
-    """Run a clip, or what is missing of that.
+    """Run a clip, or what is missing of that; of a clip with cuts each shot, as ``flowsplat run`` does.
 
     Returns:
-        ``input``, ``fingerprint`` (of its files, as ``run.json`` has it), ``grade_path`` (better, even, worse, unmeasured),
-        ``verdict``
-        in words, the figures of ``FIGURES``, ``stages`` (seconds of each), ``video`` (to look at, relative to OUT), ``thumb``,
-        ``versions``, and ``uploaded`` (its copy, where there is one).
+        ``input``, ``fingerprint`` (of its files, as ``run.json`` or ``shots.json`` has it), ``grade`` (better, even, worse,
+        unmeasured), ``verdict`` in words, the figures of ``FIGURES``, ``stages`` (seconds of each), ``video`` (to look at, relative
+        to OUT), ``thumb``, ``versions``, and ``uploaded`` (its copy, where there is one).
 
     Raises:
         InputError: as ``run``.
@@ -81,15 +86,39 @@ def run_clip(clip: BatchClip, out: Path, copies: str | None, attempt: Attempt) -
         report("It has outgrown its memory before: fewer Gaussians this time.")
         config = fewer_gaussians(config)
     folder = out / clip.id
-    metrics = run(clip.path, folder, replace(config, coarse_scene=False))  # nobody looks meanwhile
-    video = _video(folder)
+    config = replace(config, coarse_scene=False)  # nobody looks meanwhile
+    shots = run_shots(clip.path, folder, config)
+    if shots is None:
+        metrics = run(clip.path, folder, config)
+        first, words, of_all, fingerprint = folder, verdict(metrics), [metrics], RunFolder(folder).fingerprint
+    else:
+        first, of_all = RunPaths(folder).shots_path / next(iter(shots)), list(shots.values())
+        words = " ".join(f"Shot {name}: {verdict(metrics)}" for name, metrics in shots.items())
+        fingerprint = read_json(RunPaths(folder).shots_record_path, ShotsFile)["fingerprint"]
+    video = _video(first)
     return {
-        "input": str(clip.path), "fingerprint": RunFolder(folder).fingerprint, "grade": grade_path(metrics), "verdict":
-        verdict(metrics), **{name: pick(metrics, *path) for name, path in FIGURES.items()}, "stages": metrics.get("seconds", {}),
-        "video": None if video is None else video.relative_to(out).as_posix(), "thumb": _write_thumb(clip.id, folder, out),
+        "input": str(clip.path), "fingerprint": fingerprint, "verdict": words, **_describe(of_all),
+        "video": None if video is None else video.relative_to(out).as_posix(), "thumb": _write_thumb(clip.id, first, out),
         "versions": {"flowsplat": source_state(), "python": platform.python_version(), "torch": torch.__version__},
         "uploaded": None if copies is None else upload(folder, copies),
     }  # fmt: skip
+
+
+def _describe(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what a record repeats of ``metrics.json``: of one run, or of the runs of all shots of a clip.
+
+    Figures are means over the shots that have them, Gaussians and seconds are added, and the grade is that of the worst shot.
+    """
+    figures: dict[str, float | None] = {}
+    for name, path in FIGURES.items():
+        values = [value for metrics in runs if (value := pick(metrics, *path)) is not None]
+        together = sum if name == "gaussians" else statistics.mean
+        figures[name] = together(values) if values else None
+    seconds: Counter[str] = Counter()
+    for metrics in runs:
+        seconds.update(metrics.get("seconds") or {})
+    grades = {grade_path(metrics) for metrics in runs}
+    return {"grade": next(grade for grade in WORST_FIRST if grade in grades), **figures, "stages": dict(seconds)}
 
 
 def _memory(path: Path, options: InputOptions) -> float:
