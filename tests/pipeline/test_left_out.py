@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from flowsplat.common.settings import with_settings
 from flowsplat.pipeline.config import RunConfig
+from flowsplat.pipeline.fitting import train
+from flowsplat.pipeline.folder import RunFolder
 from flowsplat.pipeline.left_out import word_left_out, word_left_out_after
 from flowsplat.pipeline.speed import Speed, estimate_seconds, estimate_seconds_with
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.ingest import ingest, open_clip
 from flowsplat.scenes.layers import write_image
+from flowsplat.training import clip_length
 
 
 @pytest.fixture(scope="module")
@@ -63,3 +68,16 @@ def test_the_same_number_of_frames_costs_the_same(folder, tmp_path):
     options = InputOptions(max_frames=20)
     scene = ingest(open_clip(folder, options), tmp_path / "scene", options)
     assert estimate_seconds_with(scene, RunConfig(), 20) == estimate_seconds(scene, RunConfig())
+
+
+def test_a_long_clip_takes_more_steps(finished, tmp_path, monkeypatch):
+    shutil.copytree(finished, tmp_path / "run")
+    folder = RunFolder(tmp_path / "run")
+    scene, settings = Scene(folder.scene_path), folder.config.train
+    monkeypatch.setattr(clip_length, "FULL_FRAMES", scene.num_frames / 2)
+    of_steps = replace(folder.config, train=replace(settings, iterations=8, adapt_to_length=False))
+    folder.config = replace(folder.config, train=replace(settings, iterations=4, adapt_to_length=True))
+    assert estimate_seconds(scene, folder.config) == estimate_seconds(scene, of_steps)
+    folder.save()
+    train(folder)
+    assert json.loads((tmp_path / "run" / "training" / "history.json").read_text())[-1]["step"] == 8

@@ -31,6 +31,7 @@ from flowsplat.gaussians.initialize import SPACED_SIDE
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import Clip
+from flowsplat.training.clip_length import adapt_to_length
 from flowsplat.training.final import count_final_steps
 
 Ratio = Annotated[float, Meta(gt=0, le=1e6)]
@@ -103,11 +104,12 @@ def estimate_seconds_with(scene: Scene, config: RunConfig, frames: int) -> dict[
 def _estimate_seconds(config: RunConfig, width: int, height: int, train_frames: int, heldout: int) -> dict[str, float]:
     megapixels = width * height / 1e6
     all_frames = (train_frames + heldout) * megapixels
+    steps = adapt_to_length(config.train, train_frames + heldout).iterations
     frames = config.train.frames_per_iteration or train_frames
     # Seven tenths of what a step takes for its pixels are the Gaussians', of which large frames have fewer (bear at 854 pixels).
     spread = max(1.0, max(width, height) / SPACED_SIDE) ** (-2 * config.train.init.spacing_growth)
-    train = config.train.iterations * frames * (0.01 + 0.48 * megapixels * (0.3 + 0.7 * spread))
-    share = count_final_steps(config.train.iterations, heldout) / config.train.iterations if heldout else 0.0
+    train = steps * frames * (0.01 + 0.48 * megapixels * (0.3 + 0.7 * spread))
+    share = count_final_steps(steps, heldout) / steps if heldout else 0.0
     final = share * train if config.final_fit else 0.0
     static = 0.25 * train if config.baselines == "all" else 0.0
     own = config.priors.priors != "true"  # what is true is there

@@ -61,6 +61,9 @@ class RatesConfig:
     """The k-th wave of brightness learns at k to the power of minus this of that rate."""
     moving: Amount = 3.0
     """Factor for Gaussians that move: each is seen in a few frames only, so it is stepped less often."""
+    time_factor: Amount = field(default=1.0, metadata=LEFT_OUT_BY_DEFAULT)
+    """How many times as long the clip is as one that ``times`` and ``motion`` are meant for: center times learn so many times as
+    slowly, and coefficients of a power of time that power of it faster, so that all is as fast in seconds."""
     means_decay: Amount = 0.01
     """What remains of the rate of ``means`` at the end."""
     motion_decay: Amount = 0.1
@@ -157,6 +160,9 @@ class TrainConfig:
 
     iterations: Count = 1500
     """Optimizer steps."""
+    adapt_to_length: bool = field(default=False, metadata=LEFT_OUT_BY_DEFAULT)
+    """A clip of more than 100 frames takes as many times more steps (ours), so that each of its frames is drawn as often as each of
+    a shorter clip, and what counts in clip lengths is as fine in seconds: rates, ``model.gains``, ``model.knots``."""
     strategy: Annotated[str, STRATEGIES.option()] = field(default="default", metadata=LEFT_OUT_BY_DEFAULT)
     """Who adds and removes Gaussians, and when."""
     gaussians: Annotated[Count, tyro.conf.arg(aliases=("--gaussians",))] = field(default=0, metadata=LEFT_OUT_BY_DEFAULT)
@@ -220,6 +226,7 @@ class TrainConfig:
 
 _OURS = TrainConfig(
     iterations=1600,
+    adapt_to_length=True,
     loss=LossConfig(rigid=0.1, coverage=0.1, rigid_neighbors=10),
     model=ModelConfig(
         mean_poly=4,

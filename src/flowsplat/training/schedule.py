@@ -39,7 +39,10 @@ class LearningRates:
             "rotation": r.quats * rest, "scale": r.scales * rest, "precision": r.log_lambdas * rest,
             "motion": slowed * r.motion * motion,
         }  # fmt: skip
-        rates |= {name: groups[parameter.rate] for name, parameter in gaussians.motion.parameters.items()}
+        parameters = gaussians.motion.parameters
+        rates |= {name: groups[parameter.rate] for name, parameter in parameters.items()}
+        powers = {name for name, parameter in parameters.items() if parameter.powers and r.time_factor != 1}
+        rates["times"] /= r.time_factor
         result: dict[str, np.ndarray] = {}
         for name, value in gaussians.params.items():
             size = math.prod(value.shape[1:])
@@ -48,6 +51,9 @@ class LearningRates:
                 result[name][:3] = r.colors * rest
             if name == "log_gains":
                 result[name] *= _falloff(size, r.gains_falloff)
+            if name in powers:
+                of_power = np.float32(r.time_factor) ** np.arange(1, value.shape[1] + 1, dtype=np.float32)
+                result[name] *= np.repeat(of_power, math.prod(value.shape[2:]))
         # One copy to the device for all of them.
         together = upload(np.concatenate(list(result.values())) * np.float32(r.moving if moving else 1), self.device)
         return dict(zip(result, together.split([len(rate) for rate in result.values()]), strict=True))

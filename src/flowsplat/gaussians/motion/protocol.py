@@ -29,12 +29,14 @@ class Parameter:
         rate: whose learning rate it has: that of rotations, scales, temporal precision or motion.
         moves: only Gaussians that move use it, not those at rest.
         fades: ``log_precision`` depends on it.
+        powers: its first dimension counts powers of time from 1 on, so that its numbers depend on the unit of time.
     """
 
     shape: tuple[int, ...]
     rate: RateGroup
     moves: bool = False
     fades: bool = False
+    powers: bool = False
 
 
 @dataclass(frozen=True)

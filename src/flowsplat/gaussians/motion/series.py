@@ -59,7 +59,8 @@ class SeriesMotion(RigidMotion):
             "quat_cos": (self.quat_fourier, 4),
             "quat_sin": (self.quat_fourier, 4),
         }
-        return {**super().parameters, **{name: Parameter(shape, "motion", moves=True) for name, shape in shapes.items()}}
+        own = {name: Parameter(shape, "motion", moves=True, powers=name.endswith("poly")) for name, shape in shapes.items()}
+        return {**super().parameters, **own}
 
     @property
     def kernels(self) -> FusedKernels | None:

@@ -1,0 +1,43 @@
+"""Training settings of a long clip: what its settings count in steps or in clip lengths is as fine in its seconds as in a short
+one's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from flowsplat.training.config import TrainConfig
+
+FULL_FRAMES = 100
+"""Frames of a clip, those held out among them, up to which the settings of a training are taken as they are: as many as a clip is
+thinned to by default."""
+MAX_GAINS = 256
+"""Cosines of the brightness in time, at most: as many as ``model.gains`` may be."""
+
+
+def adapt_to_length(config: TrainConfig, frames: int) -> TrainConfig:
+    """Return the settings of training for a clip of so many frames, those held out among them.
+
+    Each frame of a long clip is drawn as often as each of one of ``FULL_FRAMES``: steps, and the rounds of density control, which
+    have to see every frame, are as many times more. Brightness and motion have as many frequencies and knots a second, and learn as
+    fast in seconds (docs/method.md, "Training").
+    """
+    if frames <= FULL_FRAMES or not config.adapt_to_length:
+        return config
+    factor = frames / FULL_FRAMES
+
+    def longer(steps: int) -> int:
+        return round(factor * steps)
+
+    density, model = config.density, config.model
+    return replace(
+        config,
+        iterations=longer(config.iterations),
+        density=replace(
+            density, every=longer(density.every), start=longer(density.start), reset_every=longer(density.reset_every),
+            prune_after=longer(density.prune_after),
+        ),
+        model=replace(
+            model, gains=min(longer(model.gains), MAX_GAINS), knots=longer(model.knots), fourier_base=factor * model.fourier_base
+        ),
+        rates=replace(config.rates, time_factor=factor * config.rates.time_factor),
+    )  # fmt: skip
