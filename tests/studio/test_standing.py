@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from flowsplat.common.errors import InputError
 from flowsplat.common.files import write_json
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.studio.standing import MAX_TAIL_BYTES, StandingReader, read_last_lines, read_orbits
+from flowsplat.studio.tasks import Tasks
 
 EXPECTED = {"compiling": 5.0, "cameras": 15.0, "priors": 30.0, "train": 40.0, "rest": 10.0}
 
@@ -70,6 +74,15 @@ def test_what_an_earlier_process_said_is_not_what_this_one_says(tmp_path):
     log.write_text("$ flowsplat run x\n" + "line\n" * MAX_TAIL_BYTES + "last\n")
     assert read_last_lines(log)[-1] == "last"
     assert len(read_last_lines(log)) < MAX_TAIL_BYTES
+
+
+def test_a_log_that_is_a_pipe_holds_nobody_up(tmp_path):
+    log = tmp_path / "run.log"
+    os.mkfifo(log)
+    assert read_last_lines(log) == []
+    assert read_orbits(log) == []
+    with pytest.raises(InputError, match="is a pipe"):
+        Tasks().start(SimpleNamespace(log=log, run=RunPaths(tmp_path)), "export html")
 
 
 def test_orbits_of_all_runs_are_found_in_order(tmp_path):

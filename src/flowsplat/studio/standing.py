@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import read_json
+from flowsplat.common.files import ordinary_file, read_bytes, read_json
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.pipeline.folder import RunFile
 
@@ -105,11 +105,11 @@ def _read_share(line: str) -> float | None:
 def read_last_lines(log: Path) -> list[str]:
     """Return the last lines that the last process said, without empty ones; none where there is no log."""
     try:
+        size = ordinary_file(log)
         with log.open("rb") as opened:
-            size = opened.seek(0, 2)
             opened.seek(max(0, size - MAX_TAIL_BYTES))
             text = opened.read(MAX_TAIL_BYTES).decode(errors="replace")
-    except OSError:
+    except (InputError, OSError):
         return []
     lines = [line.rstrip() for line in text.splitlines() if line.strip()]
     starts = [k for k, line in enumerate(lines) if line.startswith("$ flowsplat ")]
@@ -119,7 +119,7 @@ def read_last_lines(log: Path) -> list[str]:
 def read_orbits(log: Path) -> list[float]:
     """Return degrees to either side of every orbit that the runs of a log have made, in order."""
     try:
-        text = log.read_text(encoding="utf-8", errors="replace")
-    except OSError:
+        text = read_bytes(log).decode(errors="replace")
+    except InputError:
         return []
     return [float(found) for found in _ORBIT.findall(text)]

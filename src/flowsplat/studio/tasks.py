@@ -16,6 +16,7 @@ import time
 from collections.abc import Sequence
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.files import ordinary_file
 from flowsplat.common.processes import read_start_time
 from flowsplat.common.progress import LINES_VARIABLE
 from flowsplat.output.export.formats import EXPORTERS
@@ -75,6 +76,8 @@ class Tasks:
             InputError: the system starts no process, or the log cannot be written.
         """
         words = list_words(project, what, self._run_options)
+        if os.path.lexists(project.log):
+            ordinary_file(project.log)
         try:
             with project.log.open("ab") as log:
                 log.write(f"$ {shlex.join(words)}\n".encode())
