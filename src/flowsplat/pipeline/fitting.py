@@ -77,10 +77,10 @@ def _train(folder: RunFolder) -> SceneModel:
     with folder.stage("train", key, owns, drops=("all_frames", "one_color"), made=has_model(folder.model_path)) as stage:
         if stage.is_done:
             return load_model(folder.model_path).to(pick_device(folder.config.device))
-        return _train_in(folder, stage, "train", training_config(folder), folder.training_path, folder.model_path)
+        return _train_in(folder, stage, "train", resolve_train_config(folder), folder.training_path, folder.model_path)
 
 
-def training_config(folder: RunFolder) -> TrainConfig:
+def resolve_train_config(folder: RunFolder) -> TrainConfig:
     """Return the settings of training as they are for the prepared clip of a run, which may be a long one."""
     return adapt_to_length(folder.config.train, Scene(folder.scene_path).num_frames)
 
@@ -167,7 +167,7 @@ def static_model(folder: RunFolder) -> SceneModel:
     with folder.stage("static", key, (path,), made=has_model(path)) as stage:
         if stage.is_done:
             return load_model(path).to(pick_device(folder.config.device))
-        config = static_config(training_config(folder))
+        config = static_config(resolve_train_config(folder))
         report("Training the static scene for comparison.")
         quarter = replace(config, iterations=max(1, config.iterations // 4))
         return _train_in(folder, stage, "static", quarter, path, path, static_start)
@@ -214,7 +214,7 @@ def _fit_heldout(folder: RunFolder, stage: Stage) -> None:
     def begin(observations: Observations, tracks: Tracks | None, train: TrainConfig) -> Gaussians4D:
         return load_model(folder.model_path).gaussians
 
-    settings, first_step = final_config(training_config(folder), len(scene.heldout_frames))
+    settings, first_step = final_config(resolve_train_config(folder), len(scene.heldout_frames))
     _train_in(
         folder, stage, "all_frames", settings, folder.all_frames_path, folder.all_frames_path, begin, observe, first_step,
         final_visits(scene),
@@ -255,7 +255,7 @@ def one_color_model(folder: RunFolder) -> SceneModel:
             def observe(scene: Scene) -> Observations:
                 return _observe_all(folder, scene) if is_final else load_observations(scene)
 
-            settings, first_step = one_color_config(training_config(folder))
+            settings, first_step = one_color_config(resolve_train_config(folder))
             model = _train_in(folder, stage, "one_color", settings, path, path, begin, observe, first_step)
         folder.save()
         return model.to("cpu")
