@@ -353,7 +353,7 @@ def _read_report(folder: Path) -> None:
     """As a run whose evaluation is finished shows its figures again."""
     metrics, history = read_metrics(folder / "metrics.json"), read_history(folder / "training" / "history.json")
     figures_table({"": metrics})
-    write_report(folder, report_data(folder, Scene(folder / "scene"), [], metrics, history, RunConfig()))
+    write_report(folder, report_data(folder, "clip.mp4", Scene(folder / "scene"), [], metrics, history, RunConfig()))
 
 
 def _read_model(folder: Path) -> None:
