@@ -29,12 +29,12 @@ MAX_RATIO = 50
 Chosen by eye."""
 MAX_EXPONENT = 80.0
 """Largest logarithm of a scale, a precision or a brightness whose exponential is a float32. A round number."""
-_SMALL_BYTES = 2**24
+_MIN_BOUND_BYTES = 2**24
 """Bytes that they may have whatever the page has. A round number."""
 
-_MANY = re.compile(rb'<script id="pages" type="application/json">')
-_HEADER = re.compile(rb'<script id="about" type="application/json">([^<]*)</script>')
-_DATA = re.compile(rb'<script id="data" type="application/octet-stream">([^<]*)</script>')
+_SHOTS_ELEMENT = re.compile(rb'<script type="application/json" class="page">')
+_HEADER_ELEMENT = re.compile(rb'<script id="about" type="application/json">([^<]*)</script>')
+_DATA_ELEMENT = re.compile(rb'<script id="data" type="application/octet-stream">([^<]*)</script>')
 
 
 class ArrayFile(TypedDict):
@@ -158,9 +158,9 @@ def read_page(path: str | Path) -> PageScene:
         (246679, 3)
     """
     text = read_bytes(Path(path), MAX_PAGE_BYTES)
-    if _MANY.search(text):
+    if _SHOTS_ELEMENT.search(text):
         raise InputError(f"{path} plays several shots: export one of them, as in flowsplat export out/clip/shots/01 --to html.")
-    header_text, data_text = _HEADER.search(text), _DATA.search(text)
+    header_text, data_text = _HEADER_ELEMENT.search(text), _DATA_ELEMENT.search(text)
     if header_text is None or data_text is None:
         raise InputError(f"{path} is no page that plays a scene: flowsplat export RUN --to html writes one.")
     header: dict[str, Any] = decode_json(f"{path}, the header,", header_text[1])
@@ -208,14 +208,14 @@ def _check_header(path: str | Path, header: dict[str, Any]) -> None:
         raise InputError(f"{path} is damaged: two of its arrays have one name.")
 
 
-def _size(array: ArrayFile) -> int:
+def _count_bytes(array: ArrayFile) -> int:
     """Return its bytes: low and step of every chunk, and the rounded numbers."""
     return array["components"] * (8 * array["chunks"] + array["count"] * array["bits"] // 8)
 
 
 def _read_arrays(path: str | Path, about: list[ArrayFile], packed: bytes) -> dict[str, np.ndarray]:
-    size = sum(map(_size, about))
-    if size > max(MAX_RATIO * len(packed), _SMALL_BYTES):
+    size = sum(map(_count_bytes, about))
+    if size > max(MAX_RATIO * len(packed), _MIN_BOUND_BYTES):
         raise InputError(f"{path} is damaged: {len(packed):,} bytes are said to hold {size:,}.")
     try:
         body = zlib.decompressobj().decompress(packed, size + 1)
@@ -227,8 +227,8 @@ def _read_arrays(path: str | Path, about: list[ArrayFile], packed: bytes) -> dic
         raise InputError(f"{path} is damaged: its data have another size than its header says.")
     arrays, at = {}, 0
     for array in about:
-        arrays[array["name"]] = _read_array(path, array, body[at : at + _size(array)])
-        at += _size(array)
+        arrays[array["name"]] = _read_array(path, array, body[at : at + _count_bytes(array)])
+        at += _count_bytes(array)
     return arrays
 
 

@@ -16,12 +16,12 @@ six DAVIS clips (bear, camel, dance-twirl, lady-running, lucia, train; 854x480) 
 MAX_SURE_SIGMA = MAX_OBJECT_ERROR / math.radians(SWING_ANGLES[0])
 """Standard deviation of the logarithm of an object's distance up to which it is no guess: with a focal length as long as the image
 is wide, the object stands no farther beside its place in the narrowest loop than videos allow."""
-_MOST_NUMBERS = 3
+_MAX_NAMED_OBJECTS = 3
 """Objects that the sentence names by their numbers. Chosen by eye."""
 _EVEN_DECIBELS = 0.1
 """Decibels of PSNR that are not visible. Chosen by eye."""
 
-_SHARPNESS = ("sharp", "soft", "blurred")
+_SHARPNESS_GRADES = ("sharp", "soft", "blurred")
 """From the best to the worst."""
 
 
@@ -32,7 +32,7 @@ def grade_sharpness(psnr: float) -> str:
         >>> grade_sharpness(35.2), grade_sharpness(26.0), grade_sharpness(19.0)
         ('sharp', 'soft', 'blurred')
     """
-    return _SHARPNESS[(psnr < MIN_SHARP_PSNR) + (psnr < MIN_SOFT_PSNR)]
+    return _SHARPNESS_GRADES[(psnr < MIN_SHARP_PSNR) + (psnr < MIN_SOFT_PSNR)]
 
 
 def verdict(metrics: Mapping[str, Any]) -> str:
@@ -58,7 +58,7 @@ def _word_path(metrics: Mapping[str, Any]) -> str:
         return f"no frame was held out, so how sharp it is between your frames is not known{known}"
     grade = grade_sharpness(whole)
     inside = grade if moving is None else grade_sharpness(moving)
-    but = f", but what moves is {inside}" if _SHARPNESS.index(inside) > _SHARPNESS.index(grade) else ""
+    but = f", but what moves is {inside}" if _SHARPNESS_GRADES.index(inside) > _SHARPNESS_GRADES.index(grade) else ""
     return f"{grade} along your path{but}"
 
 
@@ -93,7 +93,7 @@ def _word_guesses(metrics: Mapping[str, Any]) -> str:
         who = f"the distances of all {len(objects)} objects are guesses"
     elif len(guesses) == 1:
         who = f"the distance of {f'1 of {len(objects)} objects' if numbers[0] is None else f'object {numbers[0]}'} is a guess"
-    elif len(guesses) > _MOST_NUMBERS or None in numbers:
+    elif len(guesses) > _MAX_NAMED_OBJECTS or None in numbers:
         who = f"the distances of {len(guesses)} of {len(objects)} objects are guesses"
     else:
         who = f"the distances of objects {', '.join(map(str, numbers[:-1]))} and {numbers[-1]} are guesses"

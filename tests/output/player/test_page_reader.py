@@ -51,7 +51,7 @@ def change(page: Path, tmp_path: Path, name: str, value: object) -> Path:
         at = at[int(part)] if part.isdigit() else at[part]
     at[last] = value
     path = tmp_path / "changed.html"
-    path.write_text(text[: found.start(1)] + json.dumps(header) + text[found.end(1) :])
+    path.write_text(text[: found.start(1)] + json.dumps(header).replace("<", "\\u003c") + text[found.end(1) :])
     return path
 
 

@@ -32,7 +32,8 @@ def test_the_farther_the_camera_went_the_wider_the_loop():
 
 def test_it_is_told_whether_even_the_narrowest_loop_holds():
     still, far = (
-        Amplitudes(WallAndBillboard(billboard_depth=3.5), scene_of(reach), None).swing([0.5], "orbit") for reach in (0.0, 1.0)
+        Amplitudes(WallAndBillboard(billboard_depth=3.5), scene_of(reach), None).measure_swing([0.5], "orbit")
+        for reach in (0.0, 1.0)
     )
     assert (still.degrees, still.holds) == (min(SWING_ANGLES), False)
     assert far.holds

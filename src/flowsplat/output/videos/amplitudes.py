@@ -67,9 +67,9 @@ class Amplitudes:
 
     def angle(self, times: Sequence[float], name: str) -> float:
         """Half-width in degrees of a loop at these seconds of the clip; ``name`` is what the user is told that it is for."""
-        return self._given if self._given is not None else self.swing(times, name).degrees
+        return self._given if self._given is not None else self.measure_swing(times, name).degrees
 
-    def swing(self, times: Sequence[float], name: str) -> Swing:
+    def measure_swing(self, times: Sequence[float], name: str) -> Swing:
         """Measure how far a loop at these seconds of the clip may go; ``name`` is what the user is told that it is for."""
         distance = 1 / self._scene.similarity.scale
 

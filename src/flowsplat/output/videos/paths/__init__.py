@@ -77,7 +77,7 @@ class PathRequest:
         if self.orbit_angle is not None:
             return self.orbit_angle
         assert self.amplitudes is not None
-        self.swings.append(self.amplitudes.swing([self.moments[k] for k in spread(len(self.moments), 3)], name))
+        self.swings.append(self.amplitudes.measure_swing([self.moments[k] for k in spread(len(self.moments), 3)], name))
         return self.swings[-1].degrees
 
     def choose_dolly(self) -> float:
