@@ -86,8 +86,8 @@ class Amplitudes:
     def dolly(self, t: float, distance: float) -> float:
         """Return how many times as far from what is at a planar ``distance`` a dolly zoom goes at ``t`` seconds."""
         own = self.path.at(t)
-        factor, *told = self._furthest(DOLLY_FACTORS, lambda factor: [(own, dolly_zoom(own, distance, factor), t)])
-        report(f"Dolly zoom: {factor:g} times as far{_tell(*told)}.")
+        factor, unknown, is_clear = self._furthest(DOLLY_FACTORS, lambda factor: [(own, dolly_zoom(own, distance, factor), t)])
+        report(f"Dolly zoom: {factor:g} times as far{_tell(unknown, is_clear)}.")
         return factor
 
     def _furthest(self, values: Sequence[float], looks: Callable[[float], list[_Look]]) -> tuple[float, float, bool]:
