@@ -93,6 +93,14 @@ def test_the_site_shows_docstrings(site):
         assert f'id="flowsplat.{name}"' in page
 
 
+def test_the_site_shows_the_sheet_that_the_studio_shows(site):
+    sheet = (TOP / "src/flowsplat/studio/assets/filming.html").read_text(encoding="utf-8")
+    sentences = re.findall(r"<li><b>.*?</li>", sheet)
+    assert len(sentences) == 7
+    page = (site / "filming.html").read_text(encoding="utf-8")
+    assert all(sentence in page for sentence in sentences)
+
+
 def test_what_the_pages_quote_is_what_we_say():
     said = "\n".join(_texts(Path(flowsplat.__file__).parent))
     quoted = re.findall("“([^”]+)”", (DOCS / "why_clips_fail.md").read_text(encoding="utf-8"))

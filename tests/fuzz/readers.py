@@ -24,6 +24,7 @@ from flowsplat.output.export import ExportOptions, export_scene
 from flowsplat.output.export.formats.ply import write_ply
 from flowsplat.output.export.formats.splat import write_splat
 from flowsplat.output.export.formats.spz import write_spz
+from flowsplat.output.page_reader import read_page
 from flowsplat.output.report import write_report
 from flowsplat.output.splat_files import is_splat_file, read_splats
 from flowsplat.output.tracks import read_queries
@@ -61,7 +62,7 @@ from flowsplat.training.checkpoint import load_checkpoint, load_model, save_mode
 from flowsplat.training.config import TrainConfig
 from flowsplat.training.trainer import Trainer
 from flowsplat_benchmarks.datasets.dycheck import read_keypoints
-from tests.output.small import OTHERS, small_cameras, small_model
+from tests.output.small import OTHERS, small_cameras, small_model, small_player
 from tests.output.splat_files.test_reading import make_still
 from tests.priors.given import test_camera_files as cameras_of_others
 from tests.priors.given import test_feedforward_files as networks
@@ -119,6 +120,7 @@ def make_originals(root: Path) -> None:
     _splat_files(root / "splats")
     _studio(root / "studio")
     _shots(root / "shots")
+    _page(root / "page")
 
 
 def _run(folder: Path) -> None:
@@ -140,7 +142,13 @@ def _run(folder: Path) -> None:
     history = [{"step": k, "psnr": 20.0 + k, "loss": 0.1 / k, "flow": 0.1} for k in (1, 2, 3)]
     write_json(folder / "training" / "history.json", history)
     video = {"key": "0" * 16, "fps": 24.0, "frames": 9, "files": ["input_path.mp4", "input_path_color.mp4"]}
-    write_json(folder / "renders" / "renders.json", {"input_path": video, "orbit": {**video, "files": ["orbit.mp4"]}})
+    write_json(
+        folder / "renders" / "renders.json",
+        {
+            "input_path": video,
+            "orbit": {**video, "files": ["orbit.mp4"], "swing": {"degrees": 6.0, "unknown": 0.05, "holds": True}},
+        },
+    )
 
 
 def _figures(frames: int) -> dict[str, Any]:
@@ -148,7 +156,7 @@ def _figures(frames: int) -> dict[str, Any]:
     part = {"psnr": 20.0, "ssim": 0.8, "lpips": None, "count": 2}
     scores = {**part, "moving": part, "covisible": part}
     error = {"mean": 0.5, "median": 0.2}
-    obj = {"depth": 2.5, "sigma": 0.1, "largest_step": 0.2, "cues": ["ground"], "small": False}
+    obj = {"depth": 2.5, "sigma": 0.1, "largest_step": 0.2, "cues": ["ground"], "small": False, "number": 1, "hint": "9,9@0"}
     kinds = ("heldout_frames", "heldout_frames_refined", "heldout_views", "training_frames")
     return {
         **dict.fromkeys(kinds, scores), "baselines": {"copy": scores, "flow_interpolation": scores, "static": None},
@@ -157,6 +165,7 @@ def _figures(frames: int) -> dict[str, Any]:
         "depth_abs_rel": {"all": error, "static": error, "moving": None},
         "gaussians": {"total": 90, "active_mean": 80.5, "active": [80] * frames, "objects": {"1": 30}},
         "seconds": {"ingest": 0.1, "train": 20.5}, "peak_memory_gib": 0.5,
+        "orbit": {"degrees": 6.0, "unknown": 0.05, "holds": True},
         "memory_gib": {"train": 0.5}, "measured": "model", "shown": "model_all_frames",
     }  # fmt: skip
 
@@ -353,7 +362,7 @@ def _read_report(folder: Path) -> None:
     """As a run whose evaluation is finished shows its figures again."""
     metrics, history = read_metrics(folder / "metrics.json"), read_history(folder / "training" / "history.json")
     figures_table({"": metrics})
-    write_report(folder, report_data(folder, Scene(folder / "scene"), [], metrics, history, RunConfig()))
+    write_report(folder, report_data(folder, "clip.mp4", Scene(folder / "scene"), [], metrics, history, RunConfig()))
 
 
 def _read_model(folder: Path) -> None:
@@ -432,6 +441,23 @@ def _read_queries(folder: Path) -> None:
     scene = given_scene(folder / "into", (64, 48), 4)
     for name in ("queries.json", "queries.csv"):
         read_queries((), folder / name, scene)
+
+
+def _page(folder: Path) -> None:
+    """A page whose program is left out: nobody but a browser reads that."""
+    folder.mkdir(parents=True)
+    text = small_player(folder / "scene.html", small_model(resting=40, moving=20)).read_text()
+    parts = [text[text.index(f'<script id="{name}"') :].partition("</script>")[0] + "</script>" for name in ("about", "data")]
+    (folder / "scene.html").write_text("\n".join(parts))
+
+
+def _read_page(folder: Path) -> None:
+    scene = read_page(folder / "scene.html")
+    for seconds in (scene.header["first"], 1.0, scene.header["last"]):
+        still = scene.at(seconds)
+        assert np.isfinite(still.means).all()
+        assert np.isfinite(still.scales).all()
+    assert len(scene.object_ids) == len(scene.slopes) == len(scene)
 
 
 def _read_shots(folder: Path) -> None:
@@ -515,6 +541,7 @@ READERS = (
     Reader("what is burnt in", "run", ("scene/overlay/*",), _read_scene),
     Reader("model", "run", ("model/*",), _read_model),
     Reader("static Gaussians", "splats", ("*",), _read_splats),
+    Reader("page that plays a scene", "page", ("*",), _read_page),
     Reader("checkpoint to look at", "training", ("training/*",), _read_checkpoint),
     Reader("checkpoint to go on from", "training", ("training/*",), _train_on),
     Reader("model that shares parameters", "sharing", ("bases/*", "deformation/*"), _read_sharing),

@@ -7,9 +7,8 @@ from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
-import pytest
 
-from flowsplat.output.report import Comparison, FlowComparison, ReportData, verdict, write_report
+from flowsplat.output.report import Comparison, FlowComparison, ReportData, Step, write_report
 
 NASTY = 'a "clip" <script>alert(1)</script> & {{ 7 * 7 }}'
 
@@ -121,10 +120,38 @@ def test_the_report_holds_the_figures(tmp_path):
     assert "static scene" not in page, "what was not measured has no row"
 
 
-def test_it_begins_with_the_images_and_the_verdict(tmp_path):
-    page = write(tmp_path, made_up_run())
-    places = [page.index(text) for text in ("<h1>", "better than interpolating", "<img", 'class="card"', "<table", "<svg")]
+def test_it_begins_with_a_sentence_and_the_video_and_ends_with_the_figures(tmp_path):
+    data = replace(made_up_run(), steps=[Step("Look around:", "flowsplat view 'a <b>'")])
+    page = write(tmp_path, data)
+    order = (
+        "<h1>",
+        "Sharp along your path",
+        "autoplay",
+        "flowsplat view",
+        "More videos",
+        "better than",
+        'class="card"',
+        "<table",
+        "<svg",
+    )
+    places = [page.index(text) for text in order]
     assert places == sorted(places)
+    assert '<pre class="command">flowsplat view &#39;a &lt;b&gt;&#39;</pre>' in page
+    without = write(tmp_path, replace(data, videos={}))
+    assert without.index("<img") < without.index("flowsplat view"), "without videos, a frame and its rendering"
+
+
+def test_videos_are_in_color_and_the_clips_own_path_plays(tmp_path):
+    poster = np.full((90, 160, 3), 99, np.uint8)
+    names = {"orbit": "o.mp4", "orbit_color": "oc.mp4", "input_path": "i.mp4", "input_path_color": "ic.mp4"}
+    page = write(tmp_path, replace(made_up_run(), videos=names, posters={"input_path_color": poster, "orbit_color": poster}))
+    first, second = re.findall(r"<video[^>]*>", page)
+    assert all(text in first for text in (" autoplay", " muted", " loop", " playsinline", 'poster="data:image/jpeg'))
+    assert 'src="renders/ic.mp4"' in first
+    assert " autoplay" not in second
+    assert 'preload="none"' in second, "nothing is loaded before it is asked for"
+    assert 'src="renders/oc.mp4"' in second
+    assert 'href="renders/o.mp4"' in page
 
 
 def test_refined_poses_stand_beside_the_strict_figures(tmp_path):
@@ -151,7 +178,8 @@ def test_videos_of_every_kind(tmp_path):
         "stabilized_slow2.5_objects": "stabilized_slow2.5_objects.webm", "custom_path_round-it": "custom_path_round-it.mp4",
     }  # fmt: skip
     page = write(tmp_path, replace(made_up_run(), videos=videos))
-    assert "Round the middle of the clip, the background alone: color, flow, depth." in page
+    assert "Round the middle of the clip, the background alone." in page
+    assert 'href="renders/orbit_background.mp4">With flow and depth beside it' in page
     assert "Round the middle of the clip, the background alone, for two eyes." in page
     assert "the objects alone." in page
     assert "Round the middle of the clip, object 2 1.2 times as far, object 3 0.9 times as far, object 2, 3 alone." in page
@@ -207,60 +235,11 @@ def test_an_almost_empty_run_is_reported(tmp_path):
     assert "Videos" not in page
 
 
-@pytest.mark.parametrize(
-    ("ours", "theirs", "says"),
-    [
-        (30.0, 25.0, "5.00 dB better"),
-        (24.0, 25.0, "1.00 dB worse"),
-        (25.05, 25.0, "as good as"),
-        (30.0, None, "never saw are rendered at 30.00 dB."),
-        (None, None, "No frame was held out"),
-    ],
-)
-def test_the_verdict_in_plain_words(ours, theirs, says):
-    metrics = {
-        "heldout_frames": None if ours is None else {"psnr": ours, "count": 3},
-        "baselines": None if theirs is None else {"flow_interpolation": {"psnr": theirs}},
-    }
-    assert says in verdict(metrics)
-
-
-def obj(sigma: float, cues: list[str], step: float = 0.02, depth: float = 2.0) -> dict:
-    return {"number": 1, "sigma": sigma, "cues": cues, "largest_step": step, "depth": depth}
-
-
-@pytest.mark.parametrize(
-    ("known", "says"),
-    [
-        ({}, "From aside: not measured."),
-        (
-            {"heldout_views": scores(16.94, 0.5, 11.2)},
-            "From aside: views by other cameras, which training never saw, are rendered at 16.94 dB, what moves at 11.20 dB.",
-        ),
-        ({"depth_abs_rel": {"moving": {"mean": 0.41}}}, "no view was measured; the depth of what moves is off by 41% (mean)."),
-        (
-            {"objects": [obj(0.07, ["contact"]), obj(0.14, ["height"], step=0.01)]},
-            "not measured; the distances of its 2 objects are sure to 7% to 15%, enough for steps aside of up to 0.5% of their",
-        ),
-        (
-            {"objects": [obj(0.07, ["contact"]), {**obj(0.5, []), "small": True}]},
-            "not measured; the distance of its object is sure to 7%",
-        ),
-        ({"objects": [obj(0.5, [])]}, "From aside: not measured; the distance of its object is a guess."),
-        ({"objects": [obj(0.07, ["contact"]), obj(0.5, [])]}, "2 objects are sure to 7%, 1 of them a guess."),
-    ],
-)
-def test_the_verdict_says_what_is_known_from_aside(known, says):
-    metrics = {"heldout_frames": {"psnr": 30.7, "count": 3}, **known}
-    assert "Along the clip's path: the 3 images that training never saw are rendered at 30.70 dB." in verdict(metrics)
-    assert says in verdict(metrics)
-
-
 def test_the_cards_show_the_path_and_what_is_beside_it(tmp_path):
     cards = re.findall(r'<div class="card">.*?</div><div.*?</div></div>', write(tmp_path, made_up_run()))
     assert all(text in cards[0] for text in ("29.87", "along the clip"))
     assert all(text in cards[1] for text in ("21.34", "from aside", "objects: 19.90 dB"))
-    unmeasured = ReportData("bare", {"objects": [obj(0.07, ["contact"])]})
+    unmeasured = ReportData("bare", {"objects": [{"sigma": 0.07, "cues": ["contact"], "largest_step": 0.02, "depth": 2.0}]})
     cards = re.findall(r'<div class="card">.*?</div><div.*?</div></div>', write(tmp_path, unmeasured))
     assert all(text in cards[1] for text in ("from aside: not measured", "distance: sure to 7%"))
 

@@ -147,9 +147,15 @@ def test_it_says_what_was_left_out_and_the_report_shows_all(finished, clip, caps
     assert "The clip has 2 shots, each a scene of its own (cut at 1.00 s, cut at 1.92 s)" in told
     assert "Left out: 1.00 to 1.83 s, because it is a still image, as a title." in told
     page = (finished / "report.html").read_text()
-    for part in ("shots/01/report.html", "shots/02/report.html", "shots/01/renders/input_path.mp4", "because it is a still image"):
+    for part in (
+        "shots/01/report.html",
+        "shots/02/report.html",
+        "shots/01/renders/input_path_color.mp4",
+        "because it is a still image",
+    ):
         assert part in page
     assert "Not finished yet" not in page
+    assert page.count('preload="none" poster="data:image/jpeg') == 2, "seen before it plays"
 
 
 def test_a_report_of_a_part_says_so(stopped):

@@ -26,7 +26,7 @@ from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.source import source_state
 from flowsplat.evaluation.scores import pick
 from flowsplat.images.html import shrink_to_page
-from flowsplat.output.report import grade_path, verdict
+from flowsplat.output.verdict import grade_path, verdict
 from flowsplat.output.videos import list_rendered
 from flowsplat.pipeline import run
 from flowsplat.pipeline.config import RunConfig

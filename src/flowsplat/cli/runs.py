@@ -76,7 +76,7 @@ def print_figures(metrics: dict[str, Any], out: Path) -> None:
         metrics: as in metrics.json.
         out: folder of the run.
     """
-    from flowsplat.output.report import verdict
+    from flowsplat.output.verdict import verdict
     from flowsplat.pipeline.summary import figures_table, next_steps, suggest_hints
 
     console.print(figures_table({"": metrics}))

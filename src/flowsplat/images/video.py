@@ -15,7 +15,7 @@ import av.video
 import numpy as np
 from llvmlite.binding import get_host_cpu_features
 
-from flowsplat.common.errors import InputError
+from flowsplat.common.errors import InputError, first_line
 from flowsplat.common.files import atomic_path
 from flowsplat.common.progress import report
 from flowsplat.images.media import open_media
@@ -40,6 +40,21 @@ SOUND_RATES = (22050, 24000, 32000, 44100, 48000)
 # Decoders need a few packets before the wanted sample to come up to speed after a seek.
 _AUDIO_PREROLL = 0.2
 """Seconds by which sound may begin too early without being cut. Chosen by eye."""
+
+
+def read_first_frame(path: Path) -> np.ndarray:
+    """Return the first image of a film, [H, W, 3] RGB uint8.
+
+    Raises:
+        InputError: missing, or no film that can be read.
+    """
+    try:
+        with open_media(path) as film:
+            for frame in film.decode(video=0):
+                return frame.to_ndarray(format="rgb24")
+    except (av.FFmpegError, IndexError, ValueError) as error:
+        raise InputError(f"{path} cannot be read: {first_line(error)}.") from error
+    raise InputError(f"{path} has no image.")
 
 
 def write_mp4(path: Path, frames: Iterable[np.ndarray], fps: float, *, crf: int = 18) -> None:

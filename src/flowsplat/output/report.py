@@ -18,13 +18,13 @@ from flowsplat.evaluation.baselines import title_of
 from flowsplat.evaluation.scores import pick
 from flowsplat.images.charts import Points, line_chart
 from flowsplat.images.colors import error_to_color, flow_legend, flow_scale, flow_to_color
-from flowsplat.images.html import figure, image_tag, table
+from flowsplat.images.html import data_uri, figure, image_tag, shrink_to_page, table
 from flowsplat.output.page import card, image_row, write_page
+from flowsplat.output.verdict import list_large_objects, verdict, word_figures, word_sureness
 from flowsplat.output.videos.paths import PATHS
-from flowsplat.priors.objects.description import sureness
 
-_EVEN_DECIBELS = 0.1
-"""Decibels of PSNR that are not visible. Chosen by eye."""
+POSTER_QUALITY = 80
+"""Of the JPEGs that stand in the place of videos until they play. Chosen by eye."""
 
 _STAGES = {
     "coarse": "coarse scene", "train": "training", "static": "static scene", "evaluate": "measuring", "render": "videos",
@@ -47,6 +47,13 @@ class FlowComparison(NamedTuple):
     prior: np.ndarray
 
 
+class Step(NamedTuple):
+    """What a user can do now, in words, and the command for it."""
+
+    words: str
+    command: str
+
+
 @dataclass(frozen=True)
 class ReportData:
     """What the report tells.
@@ -61,6 +68,8 @@ class ReportData:
         config: the settings by dotted name.
         notes: sentences for the user, such as what was done to the input.
         videos: file names in ``renders/`` by name, as ``output.videos.list_rendered`` tells them.
+        posters: the first image of each, by the same names, as far as they can be read.
+        steps: what to do now.
     """
 
     title: str
@@ -72,6 +81,8 @@ class ReportData:
     config: Mapping[str, Any] = field(default_factory=dict)
     notes: Sequence[str] = ()
     videos: Mapping[str, str] = field(default_factory=dict)
+    posters: Mapping[str, np.ndarray] = field(default_factory=dict)
+    steps: Sequence[Step] = ()
 
 
 def write_report(folder: Path, data: ReportData) -> Path:
@@ -86,8 +97,10 @@ def write_report(folder: Path, data: ReportData) -> Path:
         "report.html.jinja",
         title=data.title,
         verdict=verdict(data.metrics),
+        figures=word_figures(data.metrics),
         headline=_headline(data.metrics),
-        videos=list(_videos(data.videos)),
+        videos=list(_videos(data.videos, data.posters)),
+        steps=data.steps,
         comparisons=[_comparison(*comparison) for comparison in data.comparisons],
         flows=_flows(data.flows),
         legend=image_tag(flow_legend(), "The color of every direction of flow", None),
@@ -100,74 +113,6 @@ def write_report(folder: Path, data: ReportData) -> Path:
 
 
 # -- figures
-
-
-def grade_path(metrics: Mapping[str, Any]) -> str:
-    """Along the clip's path, beside interpolating by optical flow: better, even or worse; or unmeasured."""
-    ours, theirs = pick(metrics, "heldout_frames", "psnr"), pick(metrics, "baselines", "flow_interpolation", "psnr")
-    if ours is None or theirs is None:
-        return "unmeasured"
-    return "even" if abs(ours - theirs) < _EVEN_DECIBELS else "better" if ours > theirs else "worse"
-
-
-def verdict(metrics: Mapping[str, Any]) -> str:
-    """In plain words: is the scene any good, along the path of the clip, and from aside?"""
-    return f"{_along(metrics)} {_aside(metrics)}"
-
-
-def _along(metrics: Mapping[str, Any]) -> str:
-    """Return what was measured along the clip's own path."""
-    ours, theirs = pick(metrics, "heldout_frames", "psnr"), pick(metrics, "baselines", "flow_interpolation", "psnr")
-    training = pick(metrics, "training_frames", "psnr")
-    if ours is None:
-        known = "" if training is None else f" They are reproduced at {training:.2f} dB."
-        return "No frame was held out, so nothing here tells how good the scene is between the training frames." + known
-    count = pick(metrics, "heldout_frames", "count")
-    images = "Images" if count is None else "The image" if count == 1 else f"The {count} images"
-    are = "is" if count == 1 else "are"
-    seen = f"Along the clip's path: {images[0].lower()}{images[1:]} that training never saw {are} rendered at {ours:.2f} dB"
-    if theirs is None:
-        return f"{seen}."
-    gain = ours - theirs
-    if abs(gain) < _EVEN_DECIBELS:
-        return f"{seen}, as good as interpolating between the neighboring frames by optical flow ({theirs:.2f} dB)."
-    if gain > 0:
-        return f"{seen}, {gain:.2f} dB better than interpolating between the neighboring frames by optical flow."
-    return (
-        f"{seen}, {-gain:.2f} dB worse than interpolating between the neighboring frames by optical flow: "
-        "the scene has not learned all of the motion."
-    )
-
-
-def _aside(metrics: Mapping[str, Any]) -> str:
-    """Return what was measured from aside, or that nothing was and how sure the distances of objects are."""
-    views = pick(metrics, "heldout_views", "psnr")
-    if views is not None:
-        moving = pick(metrics, "heldout_views", "moving", "psnr")
-        warped = pick(metrics, "baselines_views", "warp_by_depth", "psnr")
-        of_objects = "" if moving is None else f", what moves at {moving:.2f} dB"
-        beside = "" if warped is None else f"; warping the frame of the same time by its true depth gives {warped:.2f} dB"
-        return f"From aside: views by other cameras, which training never saw, are rendered at {views:.2f} dB{of_objects}{beside}."
-    error = pick(metrics, "depth_abs_rel", "moving", "mean")
-    if error is not None:
-        return f"From aside: no view was measured; the depth of what moves is off by {error:.0%} (mean)."
-    objects = _list_counted_objects(metrics)
-    if not objects:
-        return "From aside: not measured."
-    steps = [obj["largest_step"] / obj["depth"] for obj in objects if obj["cues"]]
-    near = f", enough for steps aside of up to {min(steps):.1%} of their distance" if len(steps) == len(objects) else ""
-    whose = "the distance of its object is" if len(objects) == 1 else f"the distances of its {len(objects)} objects are"
-    return f"From aside: not measured; {whose} {_sureness(objects)}{near}."
-
-
-def _list_counted_objects(metrics: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return what is known of objects, small parts left out."""
-    return [obj for obj in metrics.get("objects") or [] if not obj.get("small")]
-
-
-def _sureness(objects: Sequence[Mapping[str, Any]]) -> str:
-    tied = [obj["sigma"] for obj in objects if obj["cues"]]
-    return sureness(tied, len(objects) - len(tied))
 
 
 def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -205,8 +150,8 @@ def _aside_card(metrics: Mapping[str, Any]) -> dict[str, Any]:
         return card(figure(views), "dB", "PSNR from aside", f"held-out views{objects}")
     if error is not None:
         return card(figure(100 * error, 0), "%", "depth error of objects", "from aside: no view was measured")
-    known = _list_counted_objects(metrics)
-    sure = f"objects' distance: {_sureness(known)}" if known else "neither views nor true depth are known"
+    known = list_large_objects(metrics)
+    sure = f"objects' distance: {word_sureness(known)}" if known else "neither views nor true depth are known"
     return card(figure(None, reason=sure), "", "from aside: not measured", sure)
 
 
@@ -318,19 +263,25 @@ def _flows(flows: Sequence[FlowComparison]) -> list[dict[str, Any]]:
     return shown
 
 
-def _videos(videos: Mapping[str, str]) -> Iterator[dict[str, Any]]:
-    """Yield the videos with three panels, each with a link to the one with color alone."""
-    folder = RunPaths(Path()).renders_path.name
-    for name, file in videos.items():
-        if not name.endswith("_color"):
-            color = videos.get(f"{name}_color")
-            yield {
-                "title": video_title(name),
-                "file": f"{folder}/{quote(file)}",
-                "panels": file.endswith(".mp4") and not name.endswith("_stereo"),
-                "image": file.endswith(".gif"),
-                "color": None if color is None else f"{folder}/{quote(color)}",
-            }
+def _videos(videos: Mapping[str, str], posters: Mapping[str, np.ndarray]) -> Iterator[dict[str, Any]]:
+    """Yield every video, that along the clip's own path first: in color where there is that, with a link to the one that has flow
+    and depth beside it."""
+    own = {entry.value.file for entry in PATHS.entries() if entry.value.is_input}
+    for name in sorted((name for name in videos if not name.endswith("_color")), key=lambda name: name not in own):
+        shown = f"{name}_color" if f"{name}_color" in videos else name
+        poster = posters.get(shown)
+        yield {
+            "title": video_title(name),
+            "file": link_video(videos[shown]),
+            "image": videos[shown].endswith(".gif"),
+            "poster": None if poster is None else data_uri(shrink_to_page(poster), POSTER_QUALITY),
+            "panels": None if shown == name else link_video(videos[name]),
+        }
+
+
+def link_video(file: str) -> str:
+    """Return the address of a video of a run, from the folder of the run."""
+    return f"{RunPaths(Path()).renders_path.name}/{quote(file)}"
 
 
 def video_title(name: str) -> str:

@@ -8,12 +8,15 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import numpy as np
+
 from flowsplat.common.durations import format_duration
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.evaluation.scores import pick
-from flowsplat.images.html import figure, table
+from flowsplat.images.html import data_uri, figure, shrink_to_page, table
 from flowsplat.output.page import write_page
-from flowsplat.output.report import verdict, video_title
+from flowsplat.output.report import POSTER_QUALITY, link_video, video_title
+from flowsplat.output.verdict import verdict
 
 
 @dataclass(frozen=True)
@@ -25,12 +28,14 @@ class ShotOnPage:
         title: its number and seconds.
         metrics: the content of its ``metrics.json``; None where it was not measured yet.
         videos: file names in its ``renders/`` by name.
+        poster: the first image of the video that is shown, where it can be read.
     """
 
     folder: str
     title: str
     metrics: Mapping[str, Any] | None
     videos: Mapping[str, str]
+    poster: np.ndarray | None = None
 
 
 def write_shots_report(path: Path, title: str, shots: Sequence[ShotOnPage], notes: Sequence[str]) -> None:
@@ -71,12 +76,22 @@ def _row(shot: ShotOnPage) -> Sequence[Any]:
 
 
 def _section(shot: ShotOnPage) -> dict[str, Any]:
-    videos = {name: file for name, file in shot.videos.items() if file.endswith(".mp4")}
-    name = next((name for name in videos if not name.endswith("_color")), next(iter(videos), None))
+    name = choose_video(shot.videos)
     return {
         "title": shot.title,
         "verdict": None if shot.metrics is None else verdict(shot.metrics),
         "report": f"{quote(shot.folder)}/{RunPaths(Path()).report_path.name}",
-        "video": None if name is None else f"{quote(shot.folder)}/{RunPaths(Path()).renders_path.name}/{quote(videos[name])}",
-        "caption": "" if name is None else video_title(name),
+        "video": None if name is None else f"{quote(shot.folder)}/{link_video(shot.videos[name])}",
+        "poster": None if shot.poster is None else data_uri(shrink_to_page(shot.poster), POSTER_QUALITY),
+        "caption": "" if name is None else video_title(name.removesuffix("_color")),
     }
+
+
+def choose_video(videos: Mapping[str, str]) -> str | None:
+    """Return the name of the video that the page shows: the first, in color alone where there is that; None where there is none.
+
+    Args:
+        videos: file names by name.
+    """
+    names = [name for name, file in videos.items() if file.endswith(".mp4")]
+    return next((name for name in names if name.endswith("_color")), next(iter(names), None))

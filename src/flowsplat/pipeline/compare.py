@@ -13,7 +13,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import flat, to_plain
 from flowsplat.output.comparison_page import ComparedFigure, ComparedRun, write_comparison
-from flowsplat.output.report import verdict
+from flowsplat.output.verdict import verdict
 from flowsplat.output.videos import list_frame_rates, list_rendered
 from flowsplat.pipeline.config import format_option
 from flowsplat.pipeline.folder import RunFolder

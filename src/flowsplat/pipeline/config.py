@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal, get_type_hints
+from typing import Annotated, Any, Literal, get_type_hints
 
 import tyro
 
@@ -43,6 +43,10 @@ class RunConfig:
     """Begin a run of more than some four minutes with a coarse scene of few small frames (``coarse/``), to look at meanwhile."""
     device: DeviceName = "auto"
     """What to train and render on: ``auto`` is the GPU where it works."""
+
+
+PRESET_NAMES = ("default", "fast", "paper", "high")
+"""Those of ``preset``, the one without a name first."""
 
 
 def preset(name: str) -> RunConfig:
@@ -88,6 +92,37 @@ def _short_options() -> dict[str, str]:
     hints = get_type_hints(TrainConfig, include_extras=True)
     annotated = ((name, extra) for name, hint in hints.items() for extra in getattr(hint, "__metadata__", ()))
     return {alias: f"train.{name}" for name, extra in annotated for alias in getattr(extra, "aliases", None) or ()}
+
+
+def list_options(config: RunConfig) -> list[str]:
+    """Return the options of ``flowsplat run`` that give these settings: the preset from which the fewest differ, and those.
+
+    Examples:
+        >>> from dataclasses import replace
+        >>> list_options(replace(preset("fast"), final_fit=True))
+        ['--preset', 'fast', '--final-fit']
+    """
+    wanted = flat(to_plain(config))
+    differing = {}
+    for name in PRESET_NAMES:
+        base = flat(to_plain(preset(name)))
+        differing[name] = [(key, value) for key, value in wanted.items() if key not in base or base[key] != value]
+    nearest = min(differing, key=lambda name: len(differing[name]))
+    words = [] if nearest == PRESET_NAMES[0] else ["--preset", nearest]
+    return words + [word for key, value in differing[nearest] for word in _format_setting(key, value)]
+
+
+def _format_setting(name: str, value: Any) -> list[str]:
+    option = format_option(name)
+    if isinstance(value, bool):
+        *within, last = option.removeprefix("--").split(".")
+        return ["--" + ".".join([*within, last if value else f"no-{last}"])]
+    if not isinstance(value, list):
+        return [option, str(value)]
+    hint = get_type_hints(PriorsOptions, include_extras=True).get(name.removeprefix("priors."))
+    if tyro.conf.UseAppendAction in getattr(hint, "__metadata__", ()):
+        return [word for each in value for word in (option, str(each))]
+    return [option, *map(str, value)]
 
 
 def find_setting(option: str) -> str | None:

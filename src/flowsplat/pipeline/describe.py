@@ -15,7 +15,7 @@ from flowsplat.common.files import read_json
 from flowsplat.common.files.lease import holder
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.images.html import NOTHING
-from flowsplat.output.report import verdict
+from flowsplat.output.verdict import verdict
 from flowsplat.pipeline.folder import MetricsFile, RunFolder
 from flowsplat.pipeline.shot_list import ShotList, read_shots
 from flowsplat.priors.graph import PRIORS

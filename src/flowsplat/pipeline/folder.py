@@ -41,6 +41,7 @@ from flowsplat.common.files.lease import NAME as LOCK
 from flowsplat.common.memory import begin_peak, get_recent_peak, give_back_memory, peak_memory
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import from_plain, to_plain
+from flowsplat.output.videos import SwingFile
 from flowsplat.pipeline.config import RunConfig
 
 VERSION = 4
@@ -130,6 +131,7 @@ class MetricsFile(TypedDict, total=False):
     lpips_reason: Text | None
     gaussians: GaussiansFile
     objects: list[ObjectFigures]
+    orbit: SwingFile | None
     seconds: dict[str, Seconds]
     wall_seconds: Seconds
     peak_memory_gib: Number | None

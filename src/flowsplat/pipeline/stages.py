@@ -25,7 +25,7 @@ from flowsplat.evaluation.poses import refine_camera
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Camera
 from flowsplat.output.report import FlowComparison, write_report
-from flowsplat.output.videos import RenderOptions, are_rendered, name_of, render_videos
+from flowsplat.output.videos import RenderOptions, are_rendered, name_of, read_swing, render_videos
 from flowsplat.pipeline.coarse import coarse_scene, is_worth_it
 from flowsplat.pipeline.compiling import compile_ahead
 from flowsplat.pipeline.config import RunConfig
@@ -205,12 +205,13 @@ def _write_metrics(folder: RunFolder, result: _Result, metrics: dict[str, Any], 
     metrics["peak_memory_gib"] = folder.peak_memory
     metrics["memory_gib"] = {**folder.memory, **dict.fromkeys(seconds, get_recent_peak())}
     metrics["seconds"], metrics["wall_seconds"] = {**folder.seconds, **seconds}, folder.wall_seconds
+    metrics["orbit"] = read_swing(folder.renders_path)
     metrics["measured"] = folder.model_path.name
     metrics["shown"] = (folder.all_frames_path if has_model(folder.all_frames_path) else folder.model_path).name
     write_json(folder.metrics_path, metrics)
     history = read_history(folder.training_path / HISTORY)
     with spinner("Writing report.html"):
-        data = report_data(folder.path, result.scene, result.flows, metrics, history, folder.config)
+        data = report_data(folder.path, folder.record["input"], result.scene, result.flows, metrics, history, folder.config)
         write_report(folder.path, data)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,11 +19,12 @@ from flowsplat.common.settings import flat, to_plain
 from flowsplat.evaluation.baselines import list_baselines, title_of
 from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.renderer import Renderer
-from flowsplat.output.report import Comparison, FlowComparison, ReportData
-from flowsplat.output.videos import list_rendered
-from flowsplat.pipeline.config import RunConfig
+from flowsplat.output.report import Comparison, FlowComparison, ReportData, Step
+from flowsplat.output.verdict import grade_sharpness, list_guesses
+from flowsplat.output.videos import list_rendered, read_posters
+from flowsplat.pipeline.config import RunConfig, list_options, preset
 from flowsplat.pipeline.left_out import word_left_out_after
-from flowsplat.priors.objects.description import word_hint
+from flowsplat.priors.objects.description import word_guess, word_hint
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import read_image
 
@@ -88,10 +90,48 @@ def pick_all(metrics: Sequence[Mapping[str, Any]], path: Sequence[str]) -> list[
 
 def next_steps(out: Path) -> Iterator[str]:
     """Yield what to do with a run that is finished."""
-    folder = shlex.quote(str(out))
     yield f"  its report:      {RunPaths(out).report_path}"
-    yield f"  look around:     flowsplat view {folder}"
-    yield f"  a page to share: flowsplat export {folder} --to html"
+    yield f"  look around:     {_view(out)}"
+    yield f"  a page to share: {_share(out)}"
+
+
+def _view(out: Path) -> str:
+    return _command("view", out)
+
+
+def _share(out: Path) -> str:
+    return _command("export", out, "--to", "html")
+
+
+def _command(*words: object) -> str:
+    return shlex.join(["flowsplat", *map(str, words)])
+
+
+def list_steps(out: Path, source: str, metrics: Mapping[str, Any], config: RunConfig) -> Iterator[Step]:
+    """Yield what to do with a run that was measured, each with its command: first what makes it better.
+
+    Args:
+        out: folder of the run.
+        source: its input.
+        metrics: as in metrics.json.
+        config: its settings.
+    """
+    for obj in list_guesses(metrics):
+        if obj.get("hint") and "number" in obj:
+            contact = replace(config.priors, contact=(*config.priors.contact, obj["hint"]))
+            words = f"{word_guess(obj['number'], obj['hint'])}, this makes it sure (name another place where that is wrong):"
+            yield Step(words, _command("run", source, "-o", out, *list_options(replace(config, priors=contact))))
+    yield Step("Look around in it, in your browser:", _view(out))
+    yield Step("Send it: one page that plays it on any phone or computer:", _share(out))
+    if pick(metrics, "gaussians", "objects"):
+        words = "See it without what moves, along your own path:"
+        yield Step(words, _command("render", out, "--render.paths", "input", "--render.parts", "background"))
+    psnr = pick(metrics, "heldout_frames", "psnr")
+    if psnr is not None and grade_sharpness(psnr) != "sharp" and config.train != preset("high").train:
+        words = (
+            "Make it sharper, in about ten times the training time of the default (docs/tutorial.md, “If it looks bad”, has more):"
+        )
+        yield Step(words, f"{_command('train', out, '--preset', 'high')} && {_command('render', out)}")
 
 
 def suggest_hints(metrics: Mapping[str, Any]) -> list[str]:
@@ -101,10 +141,10 @@ def suggest_hints(metrics: Mapping[str, Any]) -> list[str]:
 
 
 def report_data(
-    out: Path, scene: Scene, flows: Sequence[FlowComparison], metrics: Mapping[str, Any],
+    out: Path, source: str, scene: Scene, flows: Sequence[FlowComparison], metrics: Mapping[str, Any],
     history: Sequence[Mapping[str, float]], config: RunConfig,
 ) -> ReportData:  # fmt: skip
-    """Return what the report of the run in ``out`` tells, with ``flow_comparisons``.
+    """Return what the report of the run of ``source`` in ``out`` tells, with ``flow_comparisons``.
 
     Raises:
         InputError: the figures are those of other frames.
@@ -114,8 +154,10 @@ def report_data(
         raise InputError(f"{out / 'metrics.json'} counts Gaussians in {len(counts)} frames, the scene has {len(scene.timestamps)}.")
     notes = [*scene.info.notes, *([SHOWN_NOTE] if metrics.get("shown") != metrics.get("measured") else [])]
     left_out = word_left_out_after(scene, config, metrics)
-    notes += [*([left_out] if left_out else []), *suggest_hints(metrics)]
-    verdicts = [str((scene.prior(name) or {}).get("verdict", "")) for name in ("cameras", "depth", "masks")]
+    notes += [left_out] if left_out else []
+    videos = list_rendered(RunPaths(out).renders_path)
+    shown = {name: file for name, file in videos.items() if f"{name}_color" not in videos}
+    verdicts = {name: str((scene.prior(name) or {}).get("verdict", "")) for name in ("cameras", "depth", "masks")}
     return ReportData(
         title=scene.name,
         metrics=metrics,
@@ -124,8 +166,10 @@ def report_data(
         flows=flows,
         active=(scene.timestamps.tolist(), counts),
         config=flat(to_plain(config)),
-        notes=[*notes, *(verdict for verdict in verdicts if verdict)],
-        videos=list_rendered(RunPaths(out).renders_path),
+        notes=[*notes, *(f"{name.capitalize()}: {words}" for name, words in verdicts.items() if words)],
+        videos=videos,
+        posters=read_posters(RunPaths(out).renders_path, shown),
+        steps=list(list_steps(out, source, metrics, config)),
     )
 
 

@@ -32,6 +32,8 @@ from flowsplat.studio.uploads import Refusal, Upload
 T = TypeVar("T")
 
 ASSETS = Path(__file__).parent / "assets"
+SHEET = "filming.html"
+"""How to film, with a style of its own and no script."""
 MAX_BODY_BYTES = 1_000_000
 """Of what the page says, clips excepted. A round number."""
 
@@ -136,14 +138,14 @@ class Handler(web.RequestHandler):
 
 
 class PageHandler(Handler):
-    """The page itself, and its style and script."""
+    """The page itself, its style and script, and the sheet on filming."""
 
     def get(self, name: str) -> None:
         """Send a file of ``assets``."""
         file = ASSETS / (name or "studio.html")
         kinds = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
         self.set_header("Content-Type", f"{kinds[file.suffix]}; charset=utf-8")
-        self.set_header("Content-Security-Policy", _PAGE_POLICY)
+        self.set_header("Content-Security-Policy", _FILE_POLICY if name == SHEET else _PAGE_POLICY)
         if self.get_query_argument("token", None) is not None:
             self.set_header("Set-Cookie", self.guard.cookie)
         self.finish(file.read_bytes())
@@ -406,7 +408,7 @@ class NothingHandler(Handler):
 
 _ID = r"([a-z0-9][a-z0-9-]{0,62})"
 ROUTES: list[tuple[str, type[Handler]]] = [
-    (r"/(|studio\.css|studio\.js)", PageHandler),
+    (r"/(|studio\.css|studio\.js|filming\.html)", PageHandler),
     (r"/api/projects", ListHandler),
     (r"/api/clips", ClipHandler),
     (rf"/api/projects/{_ID}", ProjectHandler),

@@ -30,6 +30,16 @@ def test_the_farther_the_camera_went_the_wider_the_loop():
     assert min(SWING_ANGLES) < found[2] < found[3]
 
 
+def test_it_is_told_whether_even_the_narrowest_loop_holds():
+    still, far = (
+        Amplitudes(WallAndBillboard(billboard_depth=3.5), scene_of(reach), None).measure_swing([0.5], "orbit")
+        for reach in (0.0, 1.0)
+    )
+    assert (still.degrees, still.holds) == (min(SWING_ANGLES), False)
+    assert far.holds
+    assert far.unknown <= amplitudes.MAX_UNKNOWN_SHARE < still.unknown
+
+
 def test_loops_stay_away_from_what_moves(monkeypatch: pytest.MonkeyPatch):
     def is_near(self: ClipVisibility, camera: Camera, own: Camera, t: float) -> bool:
         return float(np.linalg.norm(camera.center - own.center)) < 0.45

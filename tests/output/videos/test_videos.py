@@ -18,7 +18,8 @@ from flowsplat.gaussians.renderer import Rendering
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.output.camera_files import write_camera_file
-from flowsplat.output.videos import RenderOptions, list_rendered, render_videos
+from flowsplat.output.videos import RenderOptions, list_rendered, read_posters, read_swing, render_videos
+from flowsplat.output.videos.amplitudes import SWING_ANGLES
 from flowsplat.scenes import Scene
 from tests.scene_files import edited
 
@@ -124,6 +125,17 @@ def test_orbit_plays_the_middle_and_bullet_time_stands_still(scene, tmp_path):
         assert depth == pytest.approx(DEPTH)
     assert len({round(camera.center[0], 6) for camera, _, _ in bullet}) > 3
     assert len(decode(tmp_path / "bullet_time.mp4")[0]) == 7
+    swing = read_swing(tmp_path)
+    assert swing is not None, "how far they go is kept with them"
+    assert swing["degrees"] in SWING_ANGLES
+    posters = read_posters(tmp_path, {**list_rendered(tmp_path), "gone": "gone.mp4"})
+    assert list(posters) == list(list_rendered(tmp_path)), "what cannot be read has none"
+    assert np.abs(posters["orbit_color"].astype(float) - decode(tmp_path / "orbit_color.mp4")[0][0]).mean() < 3
+
+
+def test_a_width_that_was_given_was_not_measured(scene, tmp_path):
+    render_videos(Plane(), scene, tmp_path, RenderOptions(paths=("bullet",), max_frames=2, orbit_angle=5.0))
+    assert read_swing(tmp_path) is None
 
 
 def test_bullet_time_can_be_chosen(scene, tmp_path):

@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
 from collections.abc import Iterator
@@ -27,6 +28,8 @@ from tests.output.tiny import FPS, FRAMES, frames_of, red, tiny_run
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'flowsplat[view]'")
 
+from flowsplat.output.videos.plans import plan_videos
+from flowsplat.output.viewer import export_panel
 from flowsplat.output.viewer.browser_frame import SCENE_DEPTH
 from flowsplat.output.viewer.server import Viewer
 from tests.output.viewer.browser import Browser, free_port, heed_ctrl_c
@@ -240,6 +243,7 @@ def test_paths_are_made_saved_loaded_and_recorded(run_folder, browser, tmp_path)
     frames = frames_of(film)
     assert (len(frames), frames[0].shape) == (9, (48, 64, 3))
     assert red(frames[0]).any()
+    browser.wait(lambda: browser.downloads.get(film.name) == film.read_bytes())
 
     browser.click("Screenshot")
     image = run_folder / "viewer" / "screenshot_001.png"
@@ -295,6 +299,41 @@ def test_ready_made_paths_are_taken_and_recorded(tmp_path):
             left, right = (np.argwhere(red(eye))[:, 1].mean() for eye in (frame[:, :64], frame[:, 64:]))
             assert 0.2 < left - right < 4, "near things lie further right for the left eye"
     finally:
+        viewer.stop()
+
+
+def test_a_recording_waits_for_the_path_and_has_the_size_and_rate_that_were_chosen(tmp_path, monkeypatch):
+    port, folder = free_port(), tiny_run(tmp_path / "out", objects=3)
+    asked = threading.Event()
+
+    def plan_when_all_was_asked(*arguments):
+        assert asked.wait(20)
+        return plan_videos(*arguments)
+
+    monkeypatch.setattr(export_panel, "plan_videos", plan_when_all_was_asked)
+    viewer = Viewer(folder, ViewOptions(port=port))
+    try:
+        with Browser(port) as browser:
+            browser.settled()
+            browser.click("Add a key here")
+            browser.set("Ready-made path", "wiggle")
+            browser.set("Size", "480p")
+            browser.set("Frames a second", "25")
+            browser.click("Take this path")
+            browser.wait(lambda: any("Working it out" in str(c.get("_markdown")) for c in browser.controls.values()))
+            browser.click("Record it")
+            browser.click("Save the path")
+            time.sleep(0.3)
+            assert not (folder / "viewer").exists()
+            asked.set()
+            film, path = folder / "viewer" / "recording_001.mp4", folder / "viewer" / "path_001.json"
+            browser.wait(film.exists)
+            browser.wait(path.exists)
+            frames = frames_of(film)
+            assert (len(frames), frames[0].shape) == (31, (480, 640, 3)), "the wiggle's 1.2 s, not the one key of before"
+            browser.wait(lambda: browser.downloads.get(film.name) == film.read_bytes())
+    finally:
+        asked.set()
         viewer.stop()
 
 

@@ -62,11 +62,15 @@ def read_json(path: Path, schema: Any = None, most: int = MAX_JSON_BYTES) -> Any
     Raises:
         InputError: missing, too large, not JSON, too deep, with numbers that are none, or not as ``schema`` says.
     """
-    return _check(path, read_bytes(path, most).removeprefix(b"\xef\xbb\xbf"), schema)
+    return decode_json(path, read_bytes(path, most).removeprefix(b"\xef\xbb\xbf"), schema)
 
 
-def _check(path: Path | str, data: bytes, schema: Any) -> Any:
-    """Return what some JSON says, once it is certain that it is as ``schema`` says; ``path`` names it in errors."""
+def decode_json(path: Path | str, data: bytes, schema: Any = None) -> Any:
+    """Return what some JSON says, once it is certain that it is as ``schema`` says; ``path`` names it in errors.
+
+    Raises:
+        InputError: as ``read_json``.
+    """
     try:
         value = msgspec.json.decode(data)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
@@ -93,7 +97,7 @@ def read_json_lines(path: Path, schema: Any = None, most: int = MAX_JSON_BYTES) 
     found = []
     for number, line in enumerate(read_bytes(path, most).removeprefix(b"\xef\xbb\xbf").split(b"\n"), 1):
         if line.strip():
-            found.append((number, _check(f"{path}, line {number},", line, schema)))
+            found.append((number, decode_json(f"{path}, line {number},", line, schema)))
     return found
 
 

@@ -9,26 +9,40 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from typing_extensions import TypedDict
+import numpy as np
+from typing_extensions import NotRequired, TypedDict
 
 from flowsplat import __version__
+from flowsplat.common.errors import InputError
 from flowsplat.common.files import plain_name, read_json, write_json
-from flowsplat.common.files.json_file import Count, Positive, Text
+from flowsplat.common.files.json_file import Count, Number, Positive, Text
 from flowsplat.gaussians.renderer import PartedRenderer
+from flowsplat.images.video import read_first_frame
 from flowsplat.output.videos.options import RenderOptions, factors_of
 from flowsplat.output.videos.plans import VideoPlan, name_of, plan_videos, settle, settle_clip
 from flowsplat.output.videos.writing import Scales, write_plan
 from flowsplat.scenes import Scene
 
 __all__ = [
-    "RenderOptions", "are_rendered", "forget_videos", "list_frame_rates", "list_rendered", "name_of", "render_videos", "settle",
-    "settle_clip",
+    "RenderOptions", "SwingFile", "are_rendered", "forget_videos", "list_frame_rates", "list_rendered", "name_of",
+    "read_posters", "read_swing", "render_videos", "settle", "settle_clip",
 ]  # fmt: skip
 
 _RECORD = "renders.json"
+
+
+class SwingFile(TypedDict):
+    """How far a loop goes, in ``renders.json`` and ``metrics.json``: as ``amplitudes.Swing``."""
+
+    degrees: Positive
+    unknown: Number
+    holds: bool
 
 
 class RenderedFile(TypedDict):
@@ -38,6 +52,7 @@ class RenderedFile(TypedDict):
     fps: Positive
     frames: Count
     files: list[Text]
+    swing: NotRequired[SwingFile]
 
 
 def render_videos(model: PartedRenderer, scene: Scene, folder: Path, options: RenderOptions) -> None:
@@ -57,6 +72,8 @@ def render_videos(model: PartedRenderer, scene: Scene, folder: Path, options: Re
         shown = parts[plan.part]
         scales = Scales.of(shown, plan.shots)
         entry = {"key": _key(plan, scales), "fps": plan.fps, "frames": len(plan.shots), "files": plan.files}
+        if plan.swing is not None:
+            entry["swing"] = asdict(plan.swing)
         if record.get(plan.name) != entry or not all((Path(folder) / file).exists() for file in plan.files):
             write_plan(shown, plan, scales, Path(folder))
             record[plan.name] = entry
@@ -84,6 +101,30 @@ def list_frame_rates(folder: Path) -> dict[str, float]:
         InputError: ``renders.json`` is damaged.
     """
     return {name: float(entry["fps"]) for name, entry in _record(folder).items()}
+
+
+def read_posters(folder: Path, videos: Mapping[str, str]) -> dict[str, np.ndarray]:
+    """Return the first image [H, W, 3] uint8 of videos in ``folder``, by their names, without those that cannot be read.
+
+    Args:
+        videos: file names by name, as of ``list_rendered``.
+    """
+    found = {}
+    for name, file in videos.items():
+        if file.endswith(".mp4"):
+            with suppress(InputError):
+                found[name] = read_first_frame(Path(folder) / file)
+    return found
+
+
+def read_swing(folder: Path) -> dict[str, Any] | None:
+    """Return how far loops round the clip's cameras go, of the narrowest in ``folder``; None where it was measured for none.
+
+    Raises:
+        InputError: ``renders.json`` is damaged.
+    """
+    found = (entry["swing"] for entry in _record(folder).values() if "swing" in entry)
+    return min(found, key=lambda swing: swing["degrees"], default=None)
 
 
 def are_rendered(folder: Path) -> bool:

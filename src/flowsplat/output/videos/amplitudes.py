@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -36,6 +37,22 @@ _Look = tuple[Camera, Camera, float]
 """The clip's camera, the one that is looked by, and the seconds."""
 
 
+@dataclass(frozen=True)
+class Swing:
+    """How far a loop round the clip's cameras goes.
+
+    Attributes:
+        degrees: to either side, seen from the middle of the scene.
+        unknown: share of its views that the clip does not tell, beyond that of its own views.
+        holds: whether that is little enough, and nothing that moves is close; where not even the narrowest loop is, it is made all
+            the same.
+    """
+
+    degrees: float
+    unknown: float
+    holds: bool
+
+
 class Amplitudes:
     """How far loops round the cameras of a clip and dolly zooms go."""
 
@@ -50,8 +67,10 @@ class Amplitudes:
 
     def angle(self, times: Sequence[float], name: str) -> float:
         """Half-width in degrees of a loop at these seconds of the clip; ``name`` is what the user is told that it is for."""
-        if self._given is not None:
-            return self._given
+        return self._given if self._given is not None else self.measure_swing(times, name).degrees
+
+    def measure_swing(self, times: Sequence[float], name: str) -> Swing:
+        """Measure how far a loop at these seconds of the clip may go; ``name`` is what the user is told that it is for."""
         distance = 1 / self._scene.similarity.scale
 
         def looks(angle: float) -> list[_Look]:
@@ -60,28 +79,27 @@ class Amplitudes:
             ]
 
         angles = [angle for angle in SWING_ANGLES if np.radians(angle) * self._astray <= MAX_OBJECT_ERROR] or list(SWING_ANGLES[:1])
-        angle, told = self._furthest(angles, looks)
-        report(f"{name.capitalize()}: {angle:g} degrees to either side{told}.")
-        return angle
+        angle, unknown, is_clear = self._furthest(angles, looks)
+        report(f"{name.capitalize()}: {angle:g} degrees to either side{_tell(unknown, is_clear)}.")
+        return Swing(angle, unknown, is_clear and unknown <= MAX_UNKNOWN_SHARE)
 
     def dolly(self, t: float, distance: float) -> float:
         """Return how many times as far from what is at a planar ``distance`` a dolly zoom goes at ``t`` seconds."""
         own = self.path.at(t)
-        factor, told = self._furthest(DOLLY_FACTORS, lambda factor: [(own, dolly_zoom(own, distance, factor), t)])
-        report(f"Dolly zoom: {factor:g} times as far{told}.")
+        factor, unknown, is_clear = self._furthest(DOLLY_FACTORS, lambda factor: [(own, dolly_zoom(own, distance, factor), t)])
+        report(f"Dolly zoom: {factor:g} times as far{_tell(unknown, is_clear)}.")
         return factor
 
-    def _furthest(self, values: Sequence[float], looks: Callable[[float], list[_Look]]) -> tuple[float, str]:
-        """Return the last of ascending values whose views the clip has seen well enough, the first if none; and what to tell of
-        it."""
+    def _furthest(self, values: Sequence[float], looks: Callable[[float], list[_Look]]) -> tuple[float, float, bool]:
+        """Return the last of ascending values whose views the clip has seen well enough, the first if none, with what
+        ``_measure_unknown`` gives for it."""
         # The farther, the less is known: halving finds the last that is good.
         best, beyond = 0, len(values)
         while beyond - best > 1:
             middle = (best + beyond) // 2
             unknown, is_clear = self._measure_unknown(looks(values[middle]))
             best, beyond = (middle, beyond) if is_clear and unknown <= MAX_UNKNOWN_SHARE else (best, middle)
-        unknown, is_clear = self._measure_unknown(looks(values[best]))
-        return values[best], f"{'' if is_clear else ', close to what moves'}; {unknown:.0%} of what it shows there is a guess"
+        return values[best], *self._measure_unknown(looks(values[best]))
 
     def _measure_unknown(self, looks: Sequence[_Look]) -> tuple[float, bool]:
         """Return share of views that the clip does not tell, beyond that of its own, and whether they stay away from objects."""
@@ -109,6 +127,10 @@ class Amplitudes:
     @cached_property
     def _visibility(self) -> ClipVisibility:
         return ClipVisibility(self._model, self._scene.cameras, self._scene.timestamps.tolist())
+
+
+def _tell(unknown: float, is_clear: bool) -> str:
+    return f"{'' if is_clear else ', close to what moves'}; {unknown:.0%} of what it shows there is a guess"
 
 
 def loop_widths(model: PartedRenderer, scene: Scene) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from flowsplat.gaussians.renderer import Part, PartedRenderer
 from flowsplat.geometry.paths import CameraPath
 from flowsplat.images.video import MAX_FPS, MIN_FPS
 from flowsplat.output.camera_files import CameraShots, read_camera_file
-from flowsplat.output.videos.amplitudes import Amplitudes
+from flowsplat.output.videos.amplitudes import Amplitudes, Swing
 from flowsplat.output.videos.options import RenderOptions, check_options, factors_of
 from flowsplat.output.videos.paths import PATHS, PathRequest
 from flowsplat.output.videos.shots import GIF_FPS, Shot, small
@@ -40,6 +40,7 @@ class VideoPlan:
         convergence: planar depth that both eyes see in the same place.
         audio_from: where the sound comes from.
         audio_start: its second that belongs to the first frame.
+        swing: how far it goes round the clip's cameras, where that was measured.
         burnt_in: the scene whose logos and clocks are laid over it again, where it shows the clip as it came.
     """
 
@@ -52,6 +53,7 @@ class VideoPlan:
     convergence: float = 1.0
     audio_from: Path | None = None
     audio_start: float = 0.0
+    swing: Swing | None = None
     burnt_in: Scene | None = None
 
     def lay_over(self, color: np.ndarray, t: float) -> np.ndarray:
@@ -169,10 +171,11 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
             options.stabilize, options.eye_distance, options.orbit_angle, options.dolly, amplitudes,
         )  # fmt: skip
         shots = list(zip(path.cameras(request), shown.tolist(), strict=True))
+        swing = request.swings[-1] if request.swings else None
         heard = sound if not (is_loop or path.stands_still) else None
         yield VideoPlan(
             path.file + tempo * (not path.stands_still), shots, GIF_FPS if path.kind == "gif" else fps, kind=path.kind,
-            audio_from=heard, audio_start=start if heard else 0.0,
+            audio_from=heard, audio_start=start if heard else 0.0, swing=swing,
             burnt_in=scene if path.is_input and scene.overlay is not None else None,
         )  # fmt: skip
     if given is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from flowsplat.output.camera_files import read_camera_file, write_camera_file
 from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.videos.paths import PATHS
 from flowsplat.output.videos.plans import plan_videos
+from flowsplat.output.videos.shots import GIF_FPS
 from flowsplat.output.viewer.browser_frame import BrowserFrame
 from flowsplat.output.viewer.controls import Controls
 from flowsplat.output.viewer.drawing import Wish, draw_shot
@@ -25,7 +26,17 @@ from flowsplat.output.viewer.keys import CameraKeys
 from flowsplat.output.viewer.layout import Box, empty, fit_box, place
 from flowsplat.output.viewer.messages import MAX_UPLOAD_BYTES
 from flowsplat.output.viewer.notifications import Notifications
-from flowsplat.output.viewer.recording import RECORDINGS, next_file, record_path, take_screenshot
+from flowsplat.output.viewer.recording import (
+    OWN_RATE,
+    OWN_SIZE,
+    RATES,
+    RECORDINGS,
+    SIZES,
+    Recording,
+    next_file,
+    record_path,
+    take_screenshot,
+)
 from flowsplat.output.viewer.session import Session
 from flowsplat.output.viewer.source import Source
 from flowsplat.output.viewer.worker import Worker
@@ -34,6 +45,8 @@ _JPEG_QUALITY = 75
 """Of the JPEGs of a path that is played. Chosen by eye."""
 _READY_HINT = "The paths that flowsplat render knows, at the speed set above; where time stands still, at this moment of the clip. "
 _RECORDINGS_HINT = "mp4 and gif: what is shown, for two eyes if so set. webm: what moves, on transparent."
+_SIZE_HINT = "The shorter side in pixels. Larger than the clip shows no more detail."
+_RATE_HINT = f"A GIF has {GIF_FPS:g} where nothing is chosen."
 
 
 def render_command(source: Source, path: Path) -> str:
@@ -51,6 +64,7 @@ class ExportPanel:
         self._source, self._worker, self._session = source, worker, session
         self._browser = BrowserFrame(source.scene.similarity)
         self._keys = CameraKeys()
+        self._planned: object | None = None
         self._fps = float(source.scene.info.source_fps)
         gui, controls = client.gui, Controls(client.gui)
         with gui.add_folder("Export", expand_by_default=False):
@@ -63,6 +77,8 @@ class ExportPanel:
             self._spacing = controls.add_slider("Seconds a key", min=0.1, max=10.0, step=0.1, initial_value=1.0)
             preview = gui.add_button("Play the path", icon=viser.Icon.PLAYER_PLAY)
             self._suffix = controls.add_dropdown("Record as", RECORDINGS, initial_value=".mp4", hint=_RECORDINGS_HINT)
+            self._size = controls.add_dropdown("Size", SIZES, initial_value=OWN_SIZE, hint=_SIZE_HINT)
+            self._rate = controls.add_dropdown("Frames a second", RATES, initial_value=OWN_RATE, hint=_RATE_HINT)
             record = gui.add_button("Record it", icon=viser.Icon.VIDEO)
             save = gui.add_button("Save the path", icon=viser.Icon.DEVICE_FLOPPY)
             self._load = gui.add_upload_button("Load a path", mime_type="application/json", icon=viser.Icon.UPLOAD)
@@ -110,6 +126,7 @@ class ExportPanel:
         return self._browser.camera(session.pose, *self._source.size)
 
     def _add_key(self) -> None:
+        self._planned = None
         with self._worker.change():
             self._keys.add(self._camera_here(), self._session.clock.at(time.monotonic()))
         self._count_keys()
@@ -122,14 +139,21 @@ class ExportPanel:
     def _take_ready(self) -> None:
         clock = self._session.clock
         now = clock.at(time.monotonic())
+        options = RenderOptions(paths=(self._ready.value,), slow_motion=1 / clock.speed, bullet_time=now)
+        self._keys = CameraKeys(float(self._spacing.value))
         self._count.content = "Working it out ..."
-        self._begin(self._plan(RenderOptions(paths=(self._ready.value,), slow_motion=1 / clock.speed, bullet_time=now)))
+        self._planned = planned = object()
+        self._begin(self._plan(options, planned))
 
-    def _plan(self, options: RenderOptions) -> Iterator[None]:
+    def _plan(self, options: RenderOptions, planned: object) -> Iterator[None]:
+        """Take the path, if it is still what the user wants then."""
         try:
             (plan,) = plan_videos(self._source.loaded.part("all"), self._source.scene, options)
-            self._keys = CameraKeys.of_shots(plan.shots, plan.fps)
+            if self._planned is planned:
+                self._keys = CameraKeys.of_shots(plan.shots, plan.fps)
         finally:
+            if self._planned is planned:
+                self._planned = None
             self._count_keys()
         yield
 
@@ -138,17 +162,24 @@ class ExportPanel:
         self._count_keys()
 
     def _clear(self) -> None:
+        self._planned = None
         self._keys = CameraKeys(float(self._spacing.value))
         self._count_keys()
 
-    def _require_keys(self) -> CameraKeys:
-        if not self._keys.keys:
-            raise InputError("The path has no keys yet: move the camera and the time, and add some.")
-        return self._keys
+    def _begin_with_keys(self, use: Callable[[CameraKeys], Iterator[None]]) -> None:
+        """Do something with the path: once it is worked out, where it was only asked for."""
+
+        def wait() -> Iterator[None]:
+            while self._planned is not None:
+                yield
+            if not self._keys.keys:
+                raise InputError("The path has no keys yet: move the camera and the time, and add some.")
+            yield from use(self._keys)
+
+        self._begin(wait())
 
     def _preview(self) -> None:
-        keys = self._require_keys()
-        self._begin(self._play(keys))
+        self._begin_with_keys(self._play)
 
     def _play(self, keys: CameraKeys) -> Iterator[None]:
         session, shot_at, started = self._session, keys.shot_at(), time.monotonic()
@@ -178,8 +209,7 @@ class ExportPanel:
         return canvas
 
     def _record(self) -> None:
-        keys = self._require_keys()
-        path = next_file(self._folder, "recording", self._suffix.value)
+        suffix, size, rate, look = self._suffix.value, self._size.value, self._rate.value, self._session.look
 
         def tell(text: str) -> None:
             self._count.content = text
@@ -188,10 +218,17 @@ class ExportPanel:
             self._count_keys()
             self._finish(path)
 
-        self._begin(record_path(self._source, self._browser, keys, self._fps, self._session.look, path, tell, finished))
+        def record(keys: CameraKeys) -> Iterator[None]:
+            recording = Recording(next_file(self._folder, "recording", suffix), size, rate)
+            return record_path(self._source, self._browser, keys, self._fps, look, recording, tell, finished)
+
+        self._begin_with_keys(record)
 
     def _save_path(self) -> None:
-        shots = self._require_keys().shots(self._fps)
+        self._begin_with_keys(self._save)
+
+    def _save(self, keys: CameraKeys) -> Iterator[None]:
+        shots = keys.shots(self._fps)
         path = next_file(self._folder, "path", ".json")
         write_camera_file(path, shots, self._fps)
         self._finish(path)
@@ -199,6 +236,7 @@ class ExportPanel:
         options = "".join(f" {word}" for word in ("--render.object-depth", *distances) if distances)
         options += " --render.confidence-fade" if self._session.look.confidence_fade else ""
         self._notifications.show("Render it", render_command(self._source, path) + options)
+        yield
 
     def _load_path(self) -> None:
         name, content = plain_name(self._load.value.name, "The file"), self._load.value.content
@@ -208,5 +246,6 @@ class ExportPanel:
             path = Path(folder) / name
             path.write_bytes(content)
             found = read_camera_file(path, self._source.size, self._source.clip)
+        self._planned = None
         self._keys = CameraKeys.of_shots(found.shots, found.fps or self._fps)
         self._count_keys()

@@ -116,11 +116,15 @@ def suggest_contacts(scene: Scene, normal: np.ndarray, numbers: Collection[int])
 
 def word_hint(number: int, hint: str) -> str:
     """Return what a user can do about an object whose distance is a guess: ``hint`` as of ``ObjectDescription``."""
+    guess = word_guess(number, hint)
+    return f"{guess}, the same command with --contact {hint} makes it sure, and keeps cameras, flow, masks and tracks."
+
+
+def word_guess(number: int, hint: str) -> str:
+    """Return that the distance of an object is a guess, and the beginning of what makes it sure: ``hint`` as of
+    ``ObjectDescription``."""
     place, _, frame = hint.partition("@")
-    return (
-        f"How far away object {number} is is a guess. If it touches the ground, or anything still, at {place} in frame {frame}, "
-        f"the same command with --contact {hint} makes it sure, and keeps cameras, flow, masks and tracks."
-    )
+    return f"The distance of object {number} is a guess. If it touches the ground, or anything still, at {place} in frame {frame}"
 
 
 def _find_visible(obj: DynamicObject) -> np.ndarray:

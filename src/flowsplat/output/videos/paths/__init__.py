@@ -18,7 +18,7 @@ from flowsplat.common.spread import spread
 from flowsplat.gaussians.renderer import PartedRenderer
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath
-from flowsplat.output.videos.amplitudes import Amplitudes
+from flowsplat.output.videos.amplitudes import Amplitudes, Swing
 from flowsplat.output.videos.shots import subject_distance
 
 
@@ -38,6 +38,7 @@ class PathRequest:
         orbit_angle: degrees; None = not given, as far as ``amplitudes`` say.
         dolly: likewise.
         amplitudes: how far the clip has seen enough; None where ``orbit_angle`` and ``dolly`` are given.
+        swings: the loops that were measured for it.
     """
 
     model: PartedRenderer
@@ -51,6 +52,7 @@ class PathRequest:
     orbit_angle: float | None
     dolly: float | None
     amplitudes: Amplitudes | None
+    swings: list[Swing] = field(default_factory=list)
     _subjects: dict[float, float] = field(default_factory=dict)
 
     @cached_property
@@ -75,7 +77,8 @@ class PathRequest:
         if self.orbit_angle is not None:
             return self.orbit_angle
         assert self.amplitudes is not None
-        return self.amplitudes.angle([self.moments[k] for k in spread(len(self.moments), 3)], name)
+        self.swings.append(self.amplitudes.measure_swing([self.moments[k] for k in spread(len(self.moments), 3)], name))
+        return self.swings[-1].degrees
 
     def choose_dolly(self) -> float:
         """Return how many times as far from the subject a dolly zoom goes."""
