@@ -19,10 +19,11 @@ from flowsplat.common.files import write_text
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Camera
 from flowsplat.images.html import data_uri
-from flowsplat.output.player.camera_paths import DEFAULT_DOLLY, DEFAULT_SWING, camera_paths
+from flowsplat.output.player.camera_paths import camera_paths
 from flowsplat.output.player.pack import pack
+from flowsplat.output.videos.amplitudes import LoopWidths
 
-SCRIPTS = ("scene.js", "cameras.js", "camera_paths.js", "sorter.js", "renderer.js", "controls.js", "main.js")
+SCRIPTS = ("scene.js", "cameras.js", "camera_paths.js", "elastic_view.js", "sorter.js", "renderer.js", "controls.js", "main.js")
 """In the order in which they stand in the page."""
 SHADERS = (
     "slice.glsl", "slice.frag", "splat.vert", "splat.frag", "whole.vert", "shrink.frag", "spread.frag", "present.frag",
@@ -33,7 +34,7 @@ _POSTER_QUALITY = 80
 
 def write_player(
     path: Path, model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], title: str,
-    widths: tuple[float, float] = (DEFAULT_SWING, DEFAULT_DOLLY),
+    widths: LoopWidths = LoopWidths(),
 ) -> Path:  # fmt: skip
     """Write the page.
 
@@ -43,7 +44,7 @@ def write_player(
         times: [T] seconds of the clip's frames, two or more.
         cameras: [T] its cameras, in the coordinates of the scene: the path that the player follows.
         title: name of the clip.
-        widths: degrees to either side of loops, and how many times as far a dolly zoom goes.
+        widths: how far from there the camera may go.
 
     Raises:
         InputError: there is nothing to show, or the file cannot be written.

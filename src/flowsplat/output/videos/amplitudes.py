@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from flowsplat.common.threads import in_threads
 from flowsplat.gaussians.renderer import PartedRenderer
 from flowsplat.gaussians.visibility import ClipVisibility
 from flowsplat.geometry import Camera
-from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit
+from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, turn_aside
 from flowsplat.output.videos.shots import subject_distance
 from flowsplat.priors.objects import load_objects
 from flowsplat.priors.objects.areas import large_objects
@@ -31,9 +32,32 @@ MAX_UNKNOWN_SHARE = 0.06
 (docs/method.md, "Evaluation protocols")."""
 _PROBE_CAMERAS = 4
 """Cameras of a loop that are looked at: where it turns. Chosen by eye."""
+STRETCHES = (1.0, 1.1, 1.2, 1.3, 1.4, 1.5)
+"""Times the half-width of the loop to choose from, beyond which dragging in the page cannot pull the camera. Chosen by eye."""
+MAX_UNSEEN_SHARE = 0.04
+"""Share of any view on the border of what dragging reaches that no frame has seen, at most: .05 is promised, and what is rendered
+ends a little beside what is there."""
+_DRAG_DIRECTIONS = 8
+"""Directions of dragging that are looked at, evenly. Chosen by eye."""
+_DRAG_TIMES = 5
+"""Times of the clip at which they are. Chosen by eye."""
 
 _Look = tuple[Camera, Camera, float]
 """The clip's camera, the one that is looked by, and the seconds."""
+
+
+class LoopWidths(NamedTuple):
+    """How far the page leaves the clip's cameras; as given here where it is not known how far the clip tells.
+
+    Attributes:
+        angle: degrees to either side of loops, half as much up and down; as far the page can be turned and stays there.
+        dolly: how many times as far a dolly zoom goes.
+        stretch: times ``angle`` as far the page can be pulled, and from where it springs back.
+    """
+
+    angle: float = 6.0
+    dolly: float = 1.5
+    stretch: float = 1.1
 
 
 class Amplitudes:
@@ -70,6 +94,30 @@ class Amplitudes:
         factor, told = self._furthest(DOLLY_FACTORS, lambda factor: [(own, dolly_zoom(own, distance, factor), t)])
         report(f"Dolly zoom: {factor:g} times as far{told}.")
         return factor
+
+    def stretch(self, angle: float) -> float:
+        """Return how many times ``angle`` (degrees) the camera can be pulled aside at any time, until something is seen that no
+        frame has seen."""
+        times, distance = self._scene.timestamps, 1 / self._scene.similarity.scale
+        probes = [(self.path.at(t), t) for t in (float(times[k]) for k in spread(len(times), _DRAG_TIMES))]
+        turns = np.arange(_DRAG_DIRECTIONS) * 2 * np.pi / _DRAG_DIRECTIONS
+
+        def unseen(stretch: float) -> float:
+            across, along = stretch * angle * np.cos(turns), stretch * angle / 2 * np.sin(turns)
+            views = [
+                (turn_aside(own, distance, yaw, pitch), t)
+                for own, t in probes
+                for yaw, pitch in zip(across.tolist(), along.tolist(), strict=True)
+            ]
+            return max(in_threads(lambda view: self._visibility.unseen_share(*view), views, self._visibility.threads))
+
+        best, worst = 0, unseen(STRETCHES[0])
+        for k in range(1, len(STRETCHES)):
+            if (share := unseen(STRETCHES[k])) > MAX_UNSEEN_SHARE:
+                break
+            best, worst = k, share
+        report(f"Dragging: {STRETCHES[best] * angle:.3g} degrees at most, where {worst:.1%} of a view is what no frame has seen.")
+        return STRETCHES[best]
 
     def _furthest(self, values: Sequence[float], looks: Callable[[float], list[_Look]]) -> tuple[float, str]:
         """Return the last of ascending values whose views the clip has seen well enough, the first if none; and what to tell of
@@ -111,10 +159,11 @@ class Amplitudes:
         return ClipVisibility(self._model, self._scene.cameras, self._scene.timestamps.tolist())
 
 
-def loop_widths(model: PartedRenderer, scene: Scene) -> tuple[float, float]:
-    """For loops at any time of the clip: degrees to either side, and how many times as far a dolly zoom goes."""
+def loop_widths(model: PartedRenderer, scene: Scene) -> LoopWidths:
+    """Return how far to go at any time of the clip."""
     amplitudes, times = Amplitudes(model, scene, None), scene.timestamps
     probes = [float(times[k]) for k in spread(len(times), 3)]
     middle = probes[len(probes) // 2]
     subject = subject_distance(model, amplitudes.path.at(middle), middle, 1 / scene.similarity.scale)
-    return amplitudes.angle(probes, "swinging camera"), amplitudes.dolly(middle, subject)
+    angle, dolly = amplitudes.angle(probes, "swinging camera"), amplitudes.dolly(middle, subject)
+    return LoopWidths(angle, dolly, amplitudes.stretch(angle))
