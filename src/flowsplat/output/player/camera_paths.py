@@ -12,7 +12,7 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath
 from flowsplat.geometry.rotations import rotations_to_quats
-from flowsplat.output.videos.amplitudes import LoopWidths
+from flowsplat.output.videos.amplitudes import DEFAULT_WIDTHS, LoopWidths
 from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.videos.paths import PATHS, PathRequest
 
@@ -28,7 +28,7 @@ def camera_paths(
     model: SceneModel,
     times: Sequence[float],
     cameras: Sequence[Camera],
-    widths: LoopWidths = LoopWidths(),
+    widths: LoopWidths = DEFAULT_WIDTHS,
 ) -> dict[str, Any]:
     """Return what the header of the page says about cameras, in the coordinates of the player (normalized).
 
@@ -39,9 +39,9 @@ def camera_paths(
         widths: how far from there the camera may go.
 
     Returns:
-        ``clipPath``: rows as of ``sample_path``. ``reach``: radians to either side that the view stays turned by (``safe``) and that it
-        can be pulled to (``stretch``), half as many up and down. ``paths``: every path of the page's menu with ``name``, ``title``, and either
-        ``rows``, likewise, or, of a loop, the ``seconds`` of a turn and ``offsets`` [times, phases], both at even steps, as of
+        ``clipPath``: rows as of ``sample_path``. ``reach``: the half-width of loops in radians (``angle``), and how many times as
+        far the view can be pulled aside (``pulls``, as ``LoopWidths`` has them). ``paths``: every path of the page's menu with ``name``,
+        ``title``, and either ``rows``, likewise, or, of a loop, the ``seconds`` of a turn and ``offsets`` [times, phases], both at even steps, as of
         ``sample_offsets``: for one time where they are the same at all.
     """
     clip = CameraPath(times, cameras)
@@ -65,8 +65,7 @@ def camera_paths(
             paths.append({**about, "seconds": path.loop_seconds, "offsets": sample_offsets(model, found, request.own)})
         else:
             paths.append({**about, "rows": sample_path(model, even.tolist(), found)})
-    safe = float(np.radians(widths.angle))
-    reach = {"safe": safe, "stretch": safe * widths.stretch}
+    reach = {"angle": float(np.radians(widths.angle)), "pulls": widths.pulls}
     return {"clipPath": sample_path(model, times, cameras), "paths": paths, "reach": reach}
 
 

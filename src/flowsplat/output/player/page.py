@@ -21,7 +21,7 @@ from flowsplat.geometry import Camera
 from flowsplat.images.html import data_uri
 from flowsplat.output.player.camera_paths import camera_paths
 from flowsplat.output.player.pack import pack
-from flowsplat.output.videos.amplitudes import LoopWidths
+from flowsplat.output.videos.amplitudes import DEFAULT_WIDTHS, LoopWidths
 
 SCRIPTS = ("scene.js", "cameras.js", "camera_paths.js", "elastic_view.js", "sorter.js", "renderer.js", "controls.js", "main.js")
 """In the order in which they stand in the page."""
@@ -34,7 +34,7 @@ _POSTER_QUALITY = 80
 
 def write_player(
     path: Path, model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], title: str,
-    widths: LoopWidths = LoopWidths(),
+    widths: LoopWidths = DEFAULT_WIDTHS,
 ) -> Path:  # fmt: skip
     """Write the page.
 

@@ -32,15 +32,17 @@ MAX_UNKNOWN_SHARE = 0.06
 (docs/method.md, "Evaluation protocols")."""
 _PROBE_CAMERAS = 4
 """Cameras of a loop that are looked at: where it turns. Chosen by eye."""
-STRETCHES = (1.0, 1.1, 1.2, 1.3, 1.4, 1.5)
-"""Times the half-width of the loop to choose from, beyond which dragging in the page cannot pull the camera. Chosen by eye."""
-MAX_UNSEEN_SHARE = 0.04
-"""Share of any view on the border of what dragging reaches that no frame has seen, at most: .05 is promised, and what is rendered
-ends a little beside what is there."""
-_DRAG_DIRECTIONS = 8
-"""Directions of dragging that are looked at, evenly. Chosen by eye."""
-_DRAG_TIMES = 5
-"""Times of the clip at which they are. Chosen by eye."""
+MAX_UNSEEN_SHARE = 0.03
+"""Share of a view that no frame has seen, at most, as far as the page can be pulled aside; by the truth of the demo it is up to half
+as much again (docs/method.md, "Evaluation protocols")."""
+PULL_DIRECTIONS = 8
+"""Directions of pulling that are measured, evenly from the left over upwards. Chosen by eye."""
+PULL_RANGE = (0.2, 1.5)
+"""Times the half-width of the loop that the page can be pulled aside, at least and at most. Chosen by eye."""
+_PULL_PROBE = 1.15
+"""Times the half-width of the loop at which it is measured: a little beyond the loop. Chosen by eye."""
+_PROBE_TIMES = 3
+"""Times of the clip at which the page is measured, evenly. Chosen by eye."""
 
 _Look = tuple[Camera, Camera, float]
 """The clip's camera, the one that is looked by, and the seconds."""
@@ -50,14 +52,19 @@ class LoopWidths(NamedTuple):
     """How far the page leaves the clip's cameras; as given here where it is not known how far the clip tells.
 
     Attributes:
-        angle: degrees to either side of loops, half as much up and down; as far the page can be turned and stays there.
+        angle: degrees to either side of loops, half as much up and down.
         dolly: how many times as far a dolly zoom goes.
-        stretch: times ``angle`` as far the page can be pulled, and from where it springs back.
+        pulls: [times][directions] how many times that wide an ellipse may be in which the camera is pulled aside, at even steps of
+            the clip and of ``PULL_DIRECTIONS``, but for the loop, which is in reach whatever this says.
     """
 
     angle: float = 6.0
     dolly: float = 1.5
-    stretch: float = 1.1
+    pulls: tuple[tuple[float, ...], ...] = ((1.0,) * PULL_DIRECTIONS,)
+
+
+DEFAULT_WIDTHS = LoopWidths()
+"""Where nothing was measured."""
 
 
 class Amplitudes:
@@ -95,29 +102,36 @@ class Amplitudes:
         report(f"Dolly zoom: {factor:g} times as far{told}.")
         return factor
 
-    def stretch(self, angle: float) -> float:
-        """Return how many times ``angle`` (degrees) the camera can be pulled aside at any time, until something is seen that no
-        frame has seen."""
-        times, distance = self._scene.timestamps, 1 / self._scene.similarity.scale
-        probes = [(self.path.at(t), t) for t in (float(times[k]) for k in spread(len(times), _DRAG_TIMES))]
-        turns = np.arange(_DRAG_DIRECTIONS) * 2 * np.pi / _DRAG_DIRECTIONS
+    def pulls(self, times: Sequence[float], angle: float) -> tuple[tuple[float, ...], ...]:
+        """Return [times][directions] what ``LoopWidths.pulls`` says, for loops of ``angle`` degrees."""
+        distance = 1 / self._scene.similarity.scale
+        owns = [self.path.at(t) for t in times]
+        directions = np.arange(PULL_DIRECTIONS) * 2 * np.pi / PULL_DIRECTIONS
 
-        def unseen(stretch: float) -> float:
-            across, along = stretch * angle * np.cos(turns), stretch * angle / 2 * np.sin(turns)
+        def unseen(pulls: np.ndarray) -> np.ndarray:
+            """Of [times, directions] pulls; of the clip's own cameras where they are 0."""
+            yaws, pitches = pulls * angle * np.cos(directions), pulls * angle / 2 * np.sin(directions)
             views = [
                 (turn_aside(own, distance, yaw, pitch), t)
-                for own, t in probes
-                for yaw, pitch in zip(across.tolist(), along.tolist(), strict=True)
+                for own, t, *turns in zip(owns, times, yaws.tolist(), pitches.tolist(), strict=True)
+                for yaw, pitch in zip(*turns, strict=True)
             ]
-            return max(in_threads(lambda view: self._visibility.unseen_share(*view), views, self._visibility.threads))
+            found = in_threads(lambda view: self._visibility.unseen_share(*view), views, self._visibility.threads)
+            return np.array(list(found)).reshape(pulls.shape)
 
-        best, worst = 0, unseen(STRETCHES[0])
-        for k in range(1, len(STRETCHES)):
-            if (share := unseen(STRETCHES[k])) > MAX_UNSEEN_SHARE:
-                break
-            best, worst = k, share
-        report(f"Dragging: {STRETCHES[best] * angle:.3g} degrees at most, where {worst:.1%} of a view is what no frame has seen.")
-        return STRETCHES[best]
+        here = np.array([[self._visibility.unseen_share(own, t)] for own, t in zip(owns, times, strict=True)])
+        outer = np.full((len(times), PULL_DIRECTIONS), _PULL_PROBE)
+        beyond = unseen(outer)
+        # Where it ends is looked for on the line between two shares that are known, and once more from what is seen there.
+        inner = np.clip(_place_of(MAX_UNSEEN_SHARE, 0 * outer, outer, here, beyond), *PULL_RANGE)
+        found = unseen(inner)
+        is_within = found <= MAX_UNSEEN_SHARE
+        nearer = _place_of(MAX_UNSEEN_SHARE, 0 * outer, inner, here, found)
+        farther = np.where(inner < outer, _place_of(MAX_UNSEEN_SHARE, inner, outer, found, beyond), inner)
+        pulls = np.clip(np.where(is_within, farther, nearer), *PULL_RANGE).round(3)
+        left, right = pulls[:, 0].min(), pulls[:, PULL_DIRECTIONS // 2].min()
+        report(f"Dragging: {angle * left:.3g} degrees straight to the left, {angle * right:.3g} to the right.")
+        return tuple(map(tuple, pulls.tolist()))
 
     def _furthest(self, values: Sequence[float], looks: Callable[[float], list[_Look]]) -> tuple[float, str]:
         """Return the last of ascending values whose views the clip has seen well enough, the first if none; and what to tell of
@@ -159,11 +173,16 @@ class Amplitudes:
         return ClipVisibility(self._model, self._scene.cameras, self._scene.timestamps.tolist())
 
 
+def _place_of(value: float, low: np.ndarray, high: np.ndarray, at_low: np.ndarray, at_high: np.ndarray) -> np.ndarray:
+    """Return where a line through two values has a third one; far off where it hardly rises."""
+    return low + (high - low) * (value - at_low) / np.maximum(at_high - at_low, 1e-6)
+
+
 def loop_widths(model: PartedRenderer, scene: Scene) -> LoopWidths:
     """Return how far to go at any time of the clip."""
     amplitudes, times = Amplitudes(model, scene, None), scene.timestamps
-    probes = [float(times[k]) for k in spread(len(times), 3)]
+    probes = [float(times[k]) for k in spread(len(times), _PROBE_TIMES)]
     middle = probes[len(probes) // 2]
     subject = subject_distance(model, amplitudes.path.at(middle), middle, 1 / scene.similarity.scale)
     angle, dolly = amplitudes.angle(probes, "swinging camera"), amplitudes.dolly(middle, subject)
-    return LoopWidths(angle, dolly, amplitudes.stretch(angle))
+    return LoopWidths(angle, dolly, amplitudes.pulls(probes, angle))

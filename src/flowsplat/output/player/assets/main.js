@@ -40,7 +40,7 @@ class State {
     if (this.isFree) return this.free.camera;
     const { path } = this;
     if (path) return cameraOf(this.about, path, this.time, this.phase);
-    return this.elastic.beside(cameraOnPath(this.about.clipPath, this.time), this.about.width, this.about.height);
+    return this.elastic.beside(cameraOnPath(this.about.clipPath, this.time), this.time, this.about.width, this.about.height);
   }
 
   setMode(mode) {
@@ -127,7 +127,7 @@ class State {
   }
 
   step(seconds) {
-    this.elastic.step(seconds);
+    this.elastic.step(seconds, this.time);
     if (this.path?.offsets) this.phase = (this.phase + (2 * Math.PI * seconds) / this.path.seconds) % (2 * Math.PI);
     if (!this.isPlaying) return;
     const time = this.time + (this.speed * seconds) / (this.about.last - this.about.first);

@@ -1,7 +1,7 @@
 // WebGL2: textures of the scene, the slice of the active Gaussians, one draw of all of them, and the filling of uncovered pixels.
 
 const NO_WEBGL = "This browser cannot show the scene: it has no WebGL2. A current Chrome, Edge, Firefox or Safari has it.";
-const MASK_SIZE = 48;  // pixels of the longer side of the small image that tells where nothing is left around
+const MASK_SIZE = 24;  // pixels of the longer side of the small image that tells where nothing is left around
 const SLICE_WIDTH = 512;  // Gaussians in a row of the texture of the slice
 
 class Renderer {
