@@ -40,9 +40,9 @@ def camera_paths(
 
     Returns:
         ``clipPath``: rows as of ``sample_path``. ``reach``: the half-width of loops in radians (``angle``), and how many times as
-        far the view can be pulled aside (``pulls``, as ``LoopWidths`` has them). ``paths``: every path of the page's menu with ``name``,
-        ``title``, and either ``rows``, likewise, or, of a loop, the ``seconds`` of a turn and ``offsets`` [times, phases], both at even steps, as of
-        ``sample_offsets``: for one time where they are the same at all.
+        far the view can be pulled aside (``pulls``, as ``LoopWidths`` has them). ``paths``: every path of the page's menu with
+        ``name``, ``title``, and either ``rows``, likewise, or, of a loop, the ``seconds`` of a turn and ``offsets``
+        [times, phases], both at even steps, as of ``sample_offsets``: for one time where they are the same at all.
     """
     clip = CameraPath(times, cameras)
     even = np.linspace(times[0], times[-1], len(times))

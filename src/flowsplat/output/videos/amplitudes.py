@@ -33,8 +33,8 @@ MAX_UNKNOWN_SHARE = 0.06
 _PROBE_CAMERAS = 4
 """Cameras of a loop that are looked at: where it turns. Chosen by eye."""
 MAX_UNSEEN_SHARE = 0.03
-"""Share of a view that no frame has seen, at most, as far as the page can be pulled aside; by the truth of the demo it is up to half
-as much again (docs/method.md, "Evaluation protocols")."""
+"""Share of a view that no frame has seen, at most, as far as the page can be pulled aside; by the truth of the demo it is up to
+half as much again (docs/method.md, "Evaluation protocols")."""
 PULL_DIRECTIONS = 8
 """Directions of pulling that are measured, evenly from the left over upwards. Chosen by eye."""
 PULL_RANGE = (0.2, 1.5)
