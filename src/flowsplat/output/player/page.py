@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import jinja2
 import numpy as np
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import write_text
@@ -23,7 +24,10 @@ from flowsplat.output.player.camera_paths import camera_paths
 from flowsplat.output.player.pack import pack
 from flowsplat.output.videos.amplitudes import DEFAULT_WIDTHS, LoopWidths
 
-SCRIPTS = ("scene.js", "cameras.js", "camera_paths.js", "elastic_view.js", "sorter.js", "renderer.js", "controls.js", "main.js")
+SCRIPTS = (
+    "scene.js", "cameras.js", "camera_paths.js", "elastic_view.js", "sorter.js", "renderer.js", "recording.js",
+    "sharing.js", "controls.js", "main.js",
+)  # fmt: skip
 """In the order in which they stand in the page."""
 SHADERS = (
     "slice.glsl", "slice.frag", "splat.vert", "splat.frag", "whole.vert", "shrink.frag", "spread.frag", "present.frag",
@@ -68,6 +72,15 @@ def write_player(
     )
     write_text(path, page)
     return Path(path)
+
+
+def embedding(page: Path, title: str, width: int, height: int) -> str:
+    """Return the HTML that shows a page of the player in another page, playing and without its controls, with images of that
+    size in pixels, where both files lie in one folder."""
+    return (
+        f'<iframe src="{quote(page.name)}#embed" title="{escape(title)}" width="{width}" height="{height}" loading="lazy" '
+        f'allow="fullscreen" style="border:0;max-width:100%;height:auto;aspect-ratio:{width}/{height}"></iframe>'
+    )
 
 
 def player_script() -> str:

@@ -126,6 +126,7 @@ class Controls {
   }
 
   wheel(event) {
+    if (isEmbedded()) return;  // it scrolls the page round this one
     event.preventDefault();
     this.take();
     const farther = Math.exp(0.0012 * event.deltaY * (event.deltaMode === 1 ? 20 : 1));

@@ -166,6 +166,7 @@ class Player {
     this.isSharp = false;
     this.sorted = null;
     this.isSorting = false;
+    this.recording = null;
     this.size = fit(this.about);
     new ResizeObserver(() => this.fit()).observe(element("stage"));
     this.canvas.addEventListener("webglcontextlost", () => complain(new Error("The graphics card was reset: reload the page.")));
@@ -175,6 +176,9 @@ class Player {
     element("speed").onchange = () => (state.speed = Number(element("speed").value));
     element("camera").onchange = () => state.setMode(element("camera").value);
     element("farther").onclick = () => state.setMode(state.isFree ? "clip" : "orbit");
+    element("record").hidden = !Recording.type;
+    element("record").onclick = () => this.record();
+    offerSharing(scene.about.title);
     element("part").onchange = () => state.setPart(element("part").value);
     element("part").parentElement.hidden = (!scene.about.resting || !scene.about.moving) && scene.about.objects.length < 2;
     offerObjects(state);
@@ -184,6 +188,19 @@ class Player {
       state.setStereo(element("stereo").checked);
       this.fit();
     };
+  }
+
+  /** Begin a video of what is seen, or end it and save it. */
+  record() {
+    if (this.recording) {
+      this.recording.stop();
+      this.recording = null;
+    } else {
+      this.detail = 1;  // images of one size
+      this.recording = new Recording(this.canvas, (video) => save(video, `${this.about.title}.webm`));
+    }
+    element("record").textContent = this.recording ? "Stop and save" : "Record";
+    element("record").setAttribute("aria-pressed", String(Boolean(this.recording)));
   }
 
   fit() {
@@ -234,7 +251,7 @@ class Player {
     const what = JSON.stringify([this.state.camera(), time, part, factors, isStereo, isConfidenceFade, this.size, devicePixelRatio]);
     const isSame = what === this.last;
     if (isSame && (this.detail === 1 || this.isSharp)) return;
-    if (!isSame) this.adapt(seconds);
+    if (!isSame && !this.recording) this.adapt(seconds);
     this.isSharp = isSame;
     this.last = what;
     const view = this.view(isSame ? 1 : this.detail);  // at rest there is time for all pixels
@@ -255,6 +272,7 @@ class Player {
 
 async function start() {
   const about = JSON.parse(element("about").textContent);
+  document.body.classList.toggle("embedded", isEmbedded());
   fit(about);
   if (!window.WebGL2RenderingContext) throw new Error(NO_WEBGL);
   if (!window.DecompressionStream) throw new Error("This browser is too old to unpack the scene: it has no DecompressionStream. One from 2023 or later has it.");
