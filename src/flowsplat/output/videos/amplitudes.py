@@ -37,10 +37,9 @@ MAX_UNSEEN_SHARE = 0.03
 half as much again (docs/method.md, "Evaluation protocols")."""
 PULL_DIRECTIONS = 8
 """Directions of pulling that are measured, evenly from the left over upwards. Chosen by eye."""
-PULL_RANGE = (0.2, 1.5)
-"""Times the half-width of the loop that the page can be pulled aside, at least and at most. Chosen by eye."""
-_PULL_PROBE = 1.15
-"""Times the half-width of the loop at which it is measured: a little beyond the loop. Chosen by eye."""
+PULL_RANGE = (0.2, 1.15)
+"""Times the half-width of the loop that the page can be pulled aside, at least, and at most: as far as the loop goes up and to a
+side. Beyond, what frames have seen is bent: the loop is as wide as the clip tells. Chosen by eye."""
 _PROBE_TIMES = 3
 """Times of the clip at which the page is measured, evenly. Chosen by eye."""
 
@@ -108,27 +107,23 @@ class Amplitudes:
         owns = [self.path.at(t) for t in times]
         directions = np.arange(PULL_DIRECTIONS) * 2 * np.pi / PULL_DIRECTIONS
 
-        def unseen(pulls: np.ndarray) -> np.ndarray:
-            """Of [times, directions] pulls; of the clip's own cameras where they are 0."""
+        def unseen(pulls: np.ndarray, which: np.ndarray) -> np.ndarray:
+            """Return [n] shares of pulls [times, directions] at some of their places [n, 2]."""
             yaws, pitches = pulls * angle * np.cos(directions), pulls * angle / 2 * np.sin(directions)
-            views = [
-                (turn_aside(own, distance, yaw, pitch), t)
-                for own, t, *turns in zip(owns, times, yaws.tolist(), pitches.tolist(), strict=True)
-                for yaw, pitch in zip(*turns, strict=True)
-            ]
-            found = in_threads(lambda view: self._visibility.unseen_share(*view), views, self._visibility.threads)
-            return np.array(list(found)).reshape(pulls.shape)
+            views = [(turn_aside(owns[k], distance, float(yaws[k, d]), float(pitches[k, d])), times[k]) for k, d in which.tolist()]
+            return np.array(list(in_threads(lambda view: self._visibility.unseen_share(*view), views, self._visibility.threads)))
 
         here = np.array([[self._visibility.unseen_share(own, t)] for own, t in zip(owns, times, strict=True)])
-        outer = np.full((len(times), PULL_DIRECTIONS), _PULL_PROBE)
-        beyond = unseen(outer)
+        outer = np.full((len(times), PULL_DIRECTIONS), PULL_RANGE[1])
+        beyond = unseen(outer, np.argwhere(outer > 0)).reshape(outer.shape)
         # Where it ends is looked for on the line between two shares that are known, and once more from what is seen there.
         inner = np.clip(_place_of(MAX_UNSEEN_SHARE, 0 * outer, outer, here, beyond), *PULL_RANGE)
-        found = unseen(inner)
+        found, nearer = beyond.copy(), np.argwhere(inner < outer)
+        found[tuple(nearer.T)] = unseen(inner, nearer)
         is_within = found <= MAX_UNSEEN_SHARE
-        nearer = _place_of(MAX_UNSEEN_SHARE, 0 * outer, inner, here, found)
-        farther = np.where(inner < outer, _place_of(MAX_UNSEEN_SHARE, inner, outer, found, beyond), inner)
-        pulls = np.clip(np.where(is_within, farther, nearer), *PULL_RANGE).round(3)
+        before = _place_of(MAX_UNSEEN_SHARE, 0 * outer, inner, here, found)
+        after = np.where(inner < outer, _place_of(MAX_UNSEEN_SHARE, inner, outer, found, beyond), inner)
+        pulls = np.clip(np.where(is_within, after, before), *PULL_RANGE).round(3)
         left, right = pulls[:, 0].min(), pulls[:, PULL_DIRECTIONS // 2].min()
         report(f"Dragging: {angle * left:.3g} degrees straight to the left, {angle * right:.3g} to the right.")
         return tuple(map(tuple, pulls.tolist()))
