@@ -268,7 +268,7 @@ def test_pulling_reaches_the_loop_and_no_farther_than_was_measured(open_page, tm
     small = np.array(page.page.evaluate(pull, [times, steps, 1, 0.06]))
     np.testing.assert_array_equal(small[..., :2], small[..., 2:])
     np.testing.assert_allclose(np.hypot(small[..., 0], 2 * small[..., 1]), 0.2 * angle)
-    # The picture moves no farther where the lens has brought it nearer, and the lens shows nothing from beside it.
+    # The image moves no farther where the lens has brought it nearer, and the lens shows nothing from beside it.
     nearer = page.page.evaluate("""() => {
       const elastic = new ElasticView(flowsplat.about.reach);
       elastic.isPulled = true;

@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 from html import unescape
 
-from flowsplat.output.player.page import embedding
+from flowsplat.output.player.page import make_iframe
 from tests.output.small import HEIGHT, WIDTH, small_model, small_player
 
 
 def test_the_line_that_embeds_it_shows_it_playing_without_its_controls(open_page, tmp_path):
     path = small_player(tmp_path / 'a "clip" & more.html', small_model())
-    line = embedding(path, 'a "clip" <b>', WIDTH, HEIGHT)
+    line = make_iframe(path, 'a "clip" <b>', WIDTH, HEIGHT)
     assert unescape(re.findall('title="(.*?)"', line)[0]) == 'a "clip" <b>'
     (tmp_path / "blog.html").write_text(f"<!doctype html><p>{line}</p>", encoding="utf-8")
     page = open_page(None)

@@ -13,7 +13,7 @@ from flowsplat.common.progress import report
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.output.export.api import export_scene
 from flowsplat.output.export.options import ExportOptions
-from flowsplat.output.player.page import embedding
+from flowsplat.output.player.page import make_iframe
 from flowsplat.output.player.sequence import write_sequence
 from flowsplat.scenes import Scene
 
@@ -43,5 +43,5 @@ def export_sequence(
             pages.append(page.read_text(encoding="utf-8"))
     write_sequence(path, pages, [name for name, _, _ in shots], title)
     if options.embed:
-        report(embedding(path, title, shots[0][2].width, shots[0][2].height))
+        report(make_iframe(path, title, shots[0][2].width, shots[0][2].height))
     return path

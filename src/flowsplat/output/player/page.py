@@ -74,7 +74,7 @@ def write_player(
     return Path(path)
 
 
-def embedding(page: Path, title: str, width: int, height: int) -> str:
+def make_iframe(page: Path, title: str, width: int, height: int) -> str:
     """Return the HTML that shows a page of the player in another page, playing and without its controls, with images of that
     size in pixels, where both files lie in one folder."""
     return (

@@ -28,9 +28,9 @@ def write(path: Path, model: SceneModel, scene: Scene, options: ExportOptions) -
 
 def embed(path: Path, scene: Scene) -> str:
     """Return the HTML that shows the page in another one."""
-    from flowsplat.output.player.page import embedding
+    from flowsplat.output.player.page import make_iframe
 
-    return embedding(path, scene.name, scene.width, scene.height)
+    return make_iframe(path, scene.name, scene.width, scene.height)
 
 
 def estimate_bytes(model: SceneModel, scene: Scene, options: ExportOptions) -> int:
