@@ -60,6 +60,11 @@ class Seen:
         still = (self.frames >= MIN_FRAMES) & (self.off <= MAX_SPREADS)
         return self.there & (self.moves | still)
 
+    @property
+    def is_seen(self) -> np.ndarray:
+        """[h, w] bool: a frame of the clip has seen it, be it once."""
+        return self.there & (self.moves | (self.frames > 0))
+
 
 class ClipVisibility:
     """The frames of a clip as witnesses of a trained scene."""
@@ -119,6 +124,10 @@ class ClipVisibility:
     def share(self, camera: Camera, t: float) -> float:
         """Return share of a view that the clip does not tell, 0 to 1."""
         return float(1 - self.compute_seen(camera, t).is_known.mean())
+
+    def unseen_share(self, camera: Camera, t: float) -> float:
+        """Return share of a view that no frame has seen, 0 to 1."""
+        return float(1 - self.compute_seen(camera, t).is_seen.mean())
 
     def keeps_clear(self, camera: Camera, own: Camera, t: float) -> bool:
         """Return whether a camera is not much nearer to any object than the clip's ``own`` at that time."""

@@ -65,9 +65,13 @@ def orbit(camera: Camera | Sequence[Camera], distance: float, steps: int, angle:
 
 def move_on_orbit(camera: Camera, distance: float, phase: float, angle: float) -> Camera:
     """``camera`` moved to one place of that loop: ``phase`` goes from 0 to 2 pi."""
-    yaw, pitch = np.radians(angle) * np.sin(phase), np.radians(angle / 2) * (1 - np.cos(phase)) / 2
+    return turn_aside(camera, distance, angle * np.sin(phase), angle / 2 * (1 - np.cos(phase)) / 2)
+
+
+def turn_aside(camera: Camera, distance: float, yaw: float, pitch: float) -> Camera:
+    """``camera`` turned round the point ``distance`` in front of it, by degrees: to its left and up where they are positive."""
     R, target = camera.viewmat[:3, :3], camera.center + camera.viewmat[2, :3] * distance
-    turned = Rotation.from_euler("yx", [-yaw, pitch]).as_matrix() @ R
+    turned = Rotation.from_euler("yx", [-yaw, pitch], degrees=True).as_matrix() @ R
     return _camera_at(target - turned[2] * distance, turned, camera)
 
 

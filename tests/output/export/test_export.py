@@ -355,6 +355,16 @@ def test_a_page_that_cannot_be_that_small_is_not_written(capsys, tmp_path, run):
     assert (tmp_path / "a.html").read_text() == "the page of before"
 
 
+def test_what_the_page_holds_and_how_to_embed_it_is_told(capsys, run):
+    main(["export", str(run), "--to", "html", "--embed"])
+    *_, holds, embed, written = capsys.readouterr().err.strip().splitlines()
+    assert "no frame, no sound" in holds
+    assert embed.startswith('<iframe src="player.html#embed"')
+    text = Path(written.removeprefix("Written: ")).read_text(encoding="utf-8")
+    assert not any(element in text for element in ("<audio", "<video"))
+    assert str(run) not in text
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -363,6 +373,7 @@ def test_a_page_that_cannot_be_that_small_is_not_written(capsys, tmp_path, run):
         (["--to", "html", "--time", "1"], "--time is for ply"),
         (["--to", "npz", "--flip-axes"], "--flip-axes is for"),
         (["--to", "spz", "--flip-axes"], "not for spz"),
+        (["--to", "ply", "--embed"], "--embed is for html, not for ply"),
         (["--to", "ply", "--max-gaussians", "0"], "at least 1"),
         (["--to", "ply", "--size-mb", "0"], "more than 0"),
         (["--to", "ply", "--size-mb", "nan"], "more than 0"),

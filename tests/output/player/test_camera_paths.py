@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from flowsplat.geometry.paths import CameraPath, orbit
 from flowsplat.output.player.camera_paths import LOOP_PHASES, PATH_SAMPLES, camera_paths, sample_path
+from flowsplat.output.videos.amplitudes import LoopWidths
 from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.videos.paths import PATHS
 from tests.output.small import small_cameras, small_model, small_player, small_times
@@ -54,7 +55,7 @@ def test_offsets_are_those_of_the_clips_camera():
     """Taken back they are the cameras of the path, in the coordinates of the player."""
     model, times = small_model(rotation=TURNED), small_times()
     cameras = small_cameras(model)
-    found = by_name(camera_paths(model, times, cameras, widths=(12.0, 1.5)))["bullet"]
+    found = by_name(camera_paths(model, times, cameras, widths=LoopWidths(angle=12.0)))["bullet"]
     assert found["seconds"] == 5
     assert len(found["offsets"]) == 1, "they are the same at any time"
     own = model.similarity.camera(cameras[4])

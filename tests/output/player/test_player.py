@@ -14,6 +14,7 @@ from flowsplat.gaussians.visibility import with_seen
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shift_camera
 from flowsplat.output.player import write_player
 from flowsplat.output.player.camera_paths import LOOP_TIMES
+from flowsplat.output.videos.amplitudes import LoopWidths
 from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.videos.shots import subject_distance
 from tests.output.small import (
@@ -196,11 +197,14 @@ def test_mouse_and_keys_move_the_camera_and_bring_it_back(open_page, player_file
     mouse.down()
     mouse.move(300, 170, steps=3)
     mouse.up()
-    assert page.page.locator("#camera").input_value() == "orbit"
+    assert page.page.locator("#camera").input_value() == "clip", "it stays near the clip's camera"
     turned = seen(page)
     assert np.abs(turned - home).mean() > 2
     mouse.wheel(0, -300)
     assert np.abs(seen(page) - turned).mean() > 1
+    mouse.dblclick(240, 150)
+    page.page.wait_for_function("() => flowsplat.state.elastic.zoom === 1 && !flowsplat.state.elastic.isReturning")
+    assert np.abs(seen(page) - home).mean() < 0.5
     page.page.locator("#canvas").focus()
     page.page.keyboard.down("KeyW")
     page.page.wait_for_timeout(200)
@@ -210,6 +214,76 @@ def test_mouse_and_keys_move_the_camera_and_bring_it_back(open_page, player_file
     assert page.page.locator("#camera").input_value() == "clip"
     assert np.abs(seen(page) - home).mean() < 0.5
     assert page.complaints == []
+
+
+def test_looking_farther_lets_go_and_fades_guesses(open_page, tmp_path):
+    model = small_model(fill=True)
+    page = open_page(small_player(tmp_path / "player.html", with_seen(model, small_cameras(model), small_times())))
+    page.pause()
+    state = "[flowsplat.state.mode, flowsplat.state.guesses]"
+    assert page.page.evaluate(state) == ["clip", "masked"]
+    page.page.locator("#farther").click()
+    assert page.page.evaluate(state) == ["orbit", "removed"]
+    assert page.page.locator("#farther").get_attribute("aria-pressed") == "true"
+    page.page.mouse.dblclick(240, 150)
+    assert page.page.evaluate(state) == ["clip", "masked"]
+    assert page.page.locator("#farther").get_attribute("aria-pressed") == "false"
+    assert page.complaints == []
+
+
+def test_pulling_reaches_the_loop_and_no_farther_than_was_measured(open_page, tmp_path):
+    """Whatever is pulled and whenever, and released it springs back to where it stays."""
+    angle, times = 8.0, [0.0, 0.2, 0.5, 1.0]
+    pulls = ((0.5, 0.8, 1.5, 0.8, 0.6, 0.4, 0.3, 0.4), (1.0, 1.2, 1.5, 1.2, 0.9, 0.4, 0.5, 0.6))
+    model, path = small_model(resting=40, moving=10), tmp_path / "player.html"
+    page = open_page(write_player(path, model, small_times(), small_cameras(model), "pulls", LoopWidths(angle, 1.5, pulls)))
+    page.pause()
+    pull = """([times, steps, count, size]) => times.map((time) => [...Array(steps).keys()].map((k) => {
+      const elastic = new ElasticView(flowsplat.about.reach);
+      elastic.isPulled = true;
+      const around = (2 * Math.PI * k) / steps;
+      for (let n = 0; n < count; n++) elastic.drag(size * Math.cos(around), (size / 2) * Math.sin(around));
+      const most = elastic.turn(time);
+      elastic.isPulled = false;
+      for (let n = 0; n < 200; n++) elastic.step(0.02, time);
+      return [...most, ...elastic.turn(time)].map((radians) => (radians * 180) / Math.PI);
+    }))"""
+    steps = 72
+    found = np.array(page.page.evaluate(pull, [times, steps, 100, 0.1])) / angle * [1, 2, 1, 2]
+    turned, stays = (np.hypot(found[..., k], found[..., k + 1]) for k in (0, 2))
+    at_nodes = np.array([np.array(pulls[0]) + t * (np.array(pulls[1]) - pulls[0]) for t in times])
+    limits = np.array([np.interp(np.arange(steps), np.arange(9) * steps / 8, [*row, row[0]]) for row in at_nodes])
+    phases = np.linspace(0, np.pi, 1000)
+    loop = np.stack([np.sin(phases), (1 - np.cos(phases)) / 2])
+    around = np.arctan2(loop[1], loop[0])
+    half = np.interp(np.arange(steps // 4 + 1) * 2 * np.pi / steps, around, np.hypot(*loop))
+    floor = np.zeros(steps)
+    floor[: steps // 4 + 1] = half
+    floor[steps // 4 : steps // 2 + 1] = half[::-1]
+    assert (turned <= np.maximum(limits, floor) + 1e-3).all()
+    assert (turned >= 0.99 * np.maximum(limits, floor) - 0.01).all()
+    assert (stays >= 0.99 * np.maximum(floor, 0.8 * limits) - 0.01).all()
+    assert (stays <= turned + 1e-9).all()
+    # A small pull is followed as it is, and stays.
+    small = np.array(page.page.evaluate(pull, [times, steps, 1, 0.06]))
+    np.testing.assert_array_equal(small[..., :2], small[..., 2:])
+    np.testing.assert_allclose(np.hypot(small[..., 0], 2 * small[..., 1]), 0.2 * angle)
+    # The image moves no farther where the lens has brought it nearer, and the lens shows nothing from beside it.
+    nearer = page.page.evaluate("""() => {
+      const elastic = new ElasticView(flowsplat.about.reach);
+      elastic.isPulled = true;
+      elastic.drag(50, 0);
+      const far = elastic.turn(0)[0];
+      elastic.zoomBy(100);
+      elastic.shiftBy(-100, 100);
+      const { lens } = elastic.beside(cameraOnPath(flowsplat.about.clipPath, 0), 0, flowsplat.about.width, flowsplat.about.height);
+      const [, , cx, cy] = cameraOnPath(flowsplat.about.clipPath, 0).lens;
+      const corner = (x, y, width, height) => [(x - lens[2]) / 4 + cx, (y - lens[3]) / 4 + cy];
+      const { width, height } = flowsplat.about;
+      return { share: elastic.turn(0)[0] / far, corners: [...corner(0, 0), ...corner(width, height)], size: [width, height] };
+    }""")
+    assert nearer["share"] == pytest.approx(1 / 4)
+    assert nearer["corners"] == pytest.approx([0.75 * WIDTH, 0, WIDTH, 0.25 * HEIGHT], abs=1e-3)
 
 
 def test_an_orbit_keeps_its_target_in_the_middle(open_page, player_file):
@@ -236,6 +310,11 @@ def test_two_fingers_bring_it_nearer(open_page, player_file):
         points = [{"x": x, "y": y, "id": k} for k, (x, y) in enumerate(places)]
         fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 
+    touch("touchStart", (200, 150), (280, 150))
+    touch("touchMove", (160, 150), (320, 150))
+    touch("touchEnd")
+    assert page.page.evaluate("flowsplat.state.elastic.zoom") == pytest.approx(2, rel=0.1)
+    page.page.evaluate("flowsplat.state.setMode('orbit')")
     touch("touchStart", (200, 150), (280, 150))
     touch("touchMove", (160, 150), (320, 150))
     touch("touchEnd")

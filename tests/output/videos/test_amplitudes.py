@@ -11,8 +11,9 @@ import pytest
 
 from flowsplat.gaussians.visibility import ClipVisibility
 from flowsplat.geometry import Camera, Similarity
+from flowsplat.geometry.paths import turn_aside
 from flowsplat.output.videos import amplitudes
-from flowsplat.output.videos.amplitudes import DOLLY_FACTORS, SWING_ANGLES, Amplitudes
+from flowsplat.output.videos.amplitudes import DOLLY_FACTORS, MAX_UNSEEN_SHARE, PULL_RANGE, SWING_ANGLES, Amplitudes
 from tests.gaussians.test_visibility import WALL, WallAndBillboard, camera_at
 
 
@@ -67,3 +68,21 @@ def test_dolly_zooms_go_as_far_as_the_clip_saw():
     far, still = (Amplitudes(WallAndBillboard(billboard_depth=3.5), scene_of(reach), None).dolly(0.5, 3.5) for reach in (1.0, 0.0))
     assert far == max(DOLLY_FACTORS)
     assert still == min(DOLLY_FACTORS)
+
+
+def test_the_page_is_pulled_until_it_shows_what_no_frame_has_seen():
+    """To the side farther where the clip went there."""
+    sideways = []
+    for reach in (0.0, 1.0):
+        model, scene, angle = WallAndBillboard(billboard_depth=3.5), scene_of(reach), 8.0
+        found = Amplitudes(model, scene, None)
+        (pulls,) = found.pulls([0.5], angle)
+        visibility, own = ClipVisibility(model, scene.cameras, scene.timestamps.tolist()), found.path.at(0.5)
+        for k, pull in enumerate(pulls):
+            around = 2 * np.pi * k / len(pulls)
+            turned = turn_aside(own, WALL, pull * angle * np.cos(around), pull * angle / 2 * np.sin(around))
+            assert visibility.unseen_share(turned, 0.5) <= MAX_UNSEEN_SHARE
+        assert pulls[2] == pulls[6] == PULL_RANGE[1], "the wall is as far away everywhere: up and down nothing comes to light"
+        assert pulls[0] == pulls[4]
+        sideways.append(pulls[0])
+    assert PULL_RANGE[0] < sideways[0] < sideways[1] < 1

@@ -31,6 +31,7 @@ pytest.importorskip("viser", reason="viser is not installed: pip install 'flowsp
 from flowsplat.output.videos.plans import plan_videos
 from flowsplat.output.viewer import export_panel
 from flowsplat.output.viewer.browser_frame import SCENE_DEPTH
+from flowsplat.output.viewer.panel import MAX_TURN
 from flowsplat.output.viewer.server import Viewer
 from tests.output.viewer.browser import Browser, free_port, heed_ctrl_c
 
@@ -92,6 +93,7 @@ def test_playing_once_ends_at_the_end(browser):
 
 
 def test_the_camera_can_be_moved(browser):
+    browser.set("Mode", "orbit")
     before = browser.settled()
     browser.look(position=browser.position + [0.8, 0, 0], look_at=np.array([0.8, 0, SCENE_DEPTH]))
     after = browser.settled()
@@ -99,6 +101,7 @@ def test_the_camera_can_be_moved(browser):
 
 
 def test_orbit_turns_round_the_scene_and_fly_in_place(browser):
+    browser.set("Mode", "orbit")
     assert browser.reach == pytest.approx(SCENE_DEPTH, rel=1e-3)
     where = browser.position
     browser.set("Mode", "fly")
@@ -114,6 +117,7 @@ def test_orbit_turns_round_the_scene_and_fly_in_place(browser):
 
 def test_two_clients_have_their_own_camera_and_time(port, browser):
     with Browser(port, (48, 72)) as other:
+        other.set("Mode", "orbit")  # without the bars beside the clip's frame
         mine, theirs = browser.settled(), other.settled()
         assert mine.shape != theirs.shape
         other.set("Seconds", 1.0)
@@ -132,6 +136,7 @@ def test_two_clients_have_their_own_camera_and_time(port, browser):
 
 
 def test_every_drawing_is_different_and_what_it_should_be(browser):
+    browser.set("Mode", "orbit")
     seen = {"color": browser.settled()}
     for show in ("flow", "depth", "alpha", "Gaussians"):
         browser.set("Show", show)
@@ -205,8 +210,19 @@ def test_the_input_camera_follows_the_clip(browser):
     browser.set("Seconds", 1.0)
     browser.wait(lambda: browser.position[0] > start[0] + 0.2)
     there = browser.position
+    home = browser.settled()
     browser.look(position=there + [2.0, 0, 0])
+    reach = np.radians(MAX_TURN) * SCENE_DEPTH
+    browser.wait(lambda: 0.5 * reach < np.linalg.norm(browser.position - there) < 1.01 * reach)
+    assert (browser.settled() != home).any(), "it can be looked past, as far as every loop goes"
+    browser.click("To the input camera")
     browser.wait(lambda: np.abs(browser.position - there).max() < 1e-3)
+    np.testing.assert_array_equal(browser.settled(), home)
+    browser.click("Look farther")
+    browser.wait(lambda: browser.value("Mode") == "orbit" and browser.value("Only what the clip tells"))
+    browser.look(position=there + [2.0, 0, 0])
+    browser.settled()
+    np.testing.assert_allclose(browser.position, there + [2.0, 0, 0], atol=1e-6)
 
 
 def test_cameras_and_ways_are_drawn_by_the_browser(browser):
@@ -219,6 +235,7 @@ def test_cameras_and_ways_are_drawn_by_the_browser(browser):
 
 
 def test_paths_are_made_saved_loaded_and_recorded(run_folder, browser, tmp_path):
+    browser.set("Mode", "orbit")
     browser.click("Save the path")
     browser.wait(lambda: any("no keys" in note for note in browser.notes))
     browser.click("Add a key here")

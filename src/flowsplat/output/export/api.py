@@ -70,6 +70,10 @@ def export_scene(
     exporter.write(path, model, scene, options)
     if not path.exists():
         raise InputError(f"Nothing was written: format {to} made no {path}.")
+    if exporter.note is not None:
+        report(exporter.note)
+    if options.embed and exporter.embed is not None:
+        report(exporter.embed(path, scene))
     return path
 
 
@@ -123,6 +127,9 @@ def _check(model: SceneModel, to: str, options: ExportOptions) -> None:
         raise InputError(
             f"--size-mb is for Gaussians in one file: {to} has {'none' if not exporter.has_gaussians else 'a folder'}."
         )
+    if options.embed and exporter.embed is None:
+        can = ", ".join(entry.name for entry in entries if entry.value.embed is not None)
+        raise InputError(f"--embed is for {can}, not for {to}.")
     if not len(model.gaussians):
         raise InputError("The scene has no Gaussians: there is nothing to export.")
 

@@ -18,3 +18,5 @@ class ExportOptions:
     """Keep at most this many: those without which the training frames would change most. None = all."""
     size_mb: float | None = None
     """Megabytes (millions of bytes) that the file may have: as many Gaussians are kept as have room. None = any size."""
+    embed: bool = False
+    """Of the page, also tell the line of HTML that shows it in another page, such as a blog: playing, without its controls."""

@@ -9,9 +9,11 @@ from pathlib import Path
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder
+from flowsplat.common.progress import report
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.output.export.api import export_scene
 from flowsplat.output.export.options import ExportOptions
+from flowsplat.output.player.page import make_iframe
 from flowsplat.output.player.sequence import write_sequence
 from flowsplat.scenes import Scene
 
@@ -37,6 +39,9 @@ def export_sequence(
     with tempfile.TemporaryDirectory() as folder:
         pages = []
         for k, (_, model, scene) in enumerate(shots):
-            page = export_scene(model, scene, "html", Path(folder) / f"{k}.html", replace(options, size_mb=share))
+            page = export_scene(model, scene, "html", Path(folder) / f"{k}.html", replace(options, size_mb=share, embed=False))
             pages.append(page.read_text(encoding="utf-8"))
-    return write_sequence(path, pages, [name for name, _, _ in shots], title)
+    write_sequence(path, pages, [name for name, _, _ in shots], title)
+    if options.embed:
+        report(make_iframe(path, title, shots[0][2].width, shots[0][2].height))
+    return path

@@ -12,6 +12,7 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath
 from flowsplat.geometry.rotations import rotations_to_quats
+from flowsplat.output.videos.amplitudes import DEFAULT_WIDTHS, LoopWidths
 from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.videos.paths import PATHS, PathRequest
 
@@ -21,15 +22,13 @@ LOOP_TIMES = 17
 """Times of the clip at which a loop is sampled; the player interpolates linearly between them. Chosen by eye."""
 LOOP_PHASES = 24
 """Cameras of a turn; the player goes through them along cubic curves."""
-DEFAULT_SWING, DEFAULT_DOLLY = 6.0, 1.5
-"""Degrees and factor where it is not known how far the clip tells. Chosen by eye."""
 
 
 def camera_paths(
     model: SceneModel,
     times: Sequence[float],
     cameras: Sequence[Camera],
-    widths: tuple[float, float] = (DEFAULT_SWING, DEFAULT_DOLLY),
+    widths: LoopWidths = DEFAULT_WIDTHS,
 ) -> dict[str, Any]:
     """Return what the header of the page says about cameras, in the coordinates of the player (normalized).
 
@@ -37,12 +36,13 @@ def camera_paths(
         model: the scene.
         times: [T] seconds of the clip's frames.
         cameras: [T] its cameras, in the coordinates of the scene.
-        widths: degrees to either side of loops, and how many times as far a dolly zoom goes.
+        widths: how far from there the camera may go.
 
     Returns:
-        ``clipPath``: rows as of ``sample_path``. ``paths``: every path of the page's menu with ``name``, ``title``, and either
-        ``rows``, likewise, or, of a loop, the ``seconds`` of a turn and ``offsets`` [times, phases], both at even steps, as of
-        ``sample_offsets``: for one time where they are the same at all.
+        ``clipPath``: rows as of ``sample_path``. ``reach``: the half-width of loops in radians (``angle``), and how many times as
+        far the view can be pulled aside (``pulls``, as ``LoopWidths`` has them). ``paths``: every path of the page's menu with
+        ``name``, ``title``, and either ``rows``, likewise, or, of a loop, the ``seconds`` of a turn and ``offsets``
+        [times, phases], both at even steps, as of ``sample_offsets``: for one time where they are the same at all.
     """
     clip = CameraPath(times, cameras)
     even = np.linspace(times[0], times[-1], len(times))
@@ -57,7 +57,7 @@ def camera_paths(
         request = PathRequest(
             model, clip, np.repeat(moments, LOOP_PHASES) if is_loop else even, np.tile(turn, LOOP_TIMES) if is_loop else turn,
             (times[-1] - times[0]) / (len(times) - 1), 1 / model.similarity.scale, RenderOptions.stabilize,
-            RenderOptions.eye_distance, *widths, None,
+            RenderOptions.eye_distance, widths.angle, widths.dolly, None,
         )  # fmt: skip
         found = path.cameras(request)
         about = {"name": entry.name, "title": entry.title[:1].lower() + entry.title[1:]}
@@ -65,7 +65,8 @@ def camera_paths(
             paths.append({**about, "seconds": path.loop_seconds, "offsets": sample_offsets(model, found, request.own)})
         else:
             paths.append({**about, "rows": sample_path(model, even.tolist(), found)})
-    return {"clipPath": sample_path(model, times, cameras), "paths": paths}
+    reach = {"angle": float(np.radians(widths.angle)), "pulls": widths.pulls}
+    return {"clipPath": sample_path(model, times, cameras), "paths": paths, "reach": reach}
 
 
 def sample_path(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -> list[list[float]]:

@@ -9,20 +9,25 @@ from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import jinja2
 import numpy as np
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import write_text
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Camera
 from flowsplat.images.html import data_uri
-from flowsplat.output.player.camera_paths import DEFAULT_DOLLY, DEFAULT_SWING, camera_paths
+from flowsplat.output.player.camera_paths import camera_paths
 from flowsplat.output.player.pack import pack
+from flowsplat.output.videos.amplitudes import DEFAULT_WIDTHS, LoopWidths
 
-SCRIPTS = ("scene.js", "cameras.js", "camera_paths.js", "sorter.js", "renderer.js", "controls.js", "main.js")
+SCRIPTS = (
+    "scene.js", "cameras.js", "camera_paths.js", "elastic_view.js", "sorter.js", "renderer.js", "recording.js",
+    "sharing.js", "controls.js", "main.js",
+)  # fmt: skip
 """In the order in which they stand in the page."""
 SHADERS = (
     "slice.glsl", "slice.frag", "splat.vert", "splat.frag", "whole.vert", "shrink.frag", "spread.frag", "present.frag",
@@ -33,7 +38,7 @@ _POSTER_QUALITY = 80
 
 def write_player(
     path: Path, model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], title: str,
-    widths: tuple[float, float] = (DEFAULT_SWING, DEFAULT_DOLLY),
+    widths: LoopWidths = DEFAULT_WIDTHS,
 ) -> Path:  # fmt: skip
     """Write the page.
 
@@ -43,7 +48,7 @@ def write_player(
         times: [T] seconds of the clip's frames, two or more.
         cameras: [T] its cameras, in the coordinates of the scene: the path that the player follows.
         title: name of the clip.
-        widths: degrees to either side of loops, and how many times as far a dolly zoom goes.
+        widths: how far from there the camera may go.
 
     Raises:
         InputError: there is nothing to show, or the file cannot be written.
@@ -67,6 +72,15 @@ def write_player(
     )
     write_text(path, page)
     return Path(path)
+
+
+def make_iframe(page: Path, title: str, width: int, height: int) -> str:
+    """Return the HTML that shows a page of the player in another page, playing and without its controls, with images of that
+    size in pixels, where both files lie in one folder."""
+    return (
+        f'<iframe src="{quote(page.name)}#embed" title="{escape(title)}" width="{width}" height="{height}" loading="lazy" '
+        f'allow="fullscreen" style="border:0;max-width:100%;height:auto;aspect-ratio:{width}/{height}"></iframe>'
+    )
 
 
 def player_script() -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from flowsplat.common.threads import in_threads
 from flowsplat.gaussians.renderer import PartedRenderer
 from flowsplat.gaussians.visibility import ClipVisibility
 from flowsplat.geometry import Camera
-from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit
+from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, turn_aside
 from flowsplat.output.videos.shots import subject_distance
 from flowsplat.priors.objects import load_objects
 from flowsplat.priors.objects.areas import large_objects
@@ -32,6 +33,16 @@ MAX_UNKNOWN_SHARE = 0.06
 (docs/method.md, "Evaluation protocols")."""
 _PROBE_CAMERAS = 4
 """Cameras of a loop that are looked at: where it turns. Chosen by eye."""
+MAX_UNSEEN_SHARE = 0.03
+"""Share of a view that no frame has seen, at most, as far as the page can be pulled aside; by the truth of the demo it is up to
+half as much again (docs/method.md, "Evaluation protocols")."""
+PULL_DIRECTIONS = 8
+"""Directions of pulling that are measured, evenly from the left over upwards. Chosen by eye."""
+PULL_RANGE = (0.2, 1.15)
+"""Times the half-width of the loop that the page can be pulled aside, at least, and at most: as far as the loop goes up and to a
+side. Beyond, what frames have seen is bent: the loop is as wide as the clip tells. Chosen by eye."""
+_PROBE_TIMES = 3
+"""Times of the clip at which the page is measured, evenly. Chosen by eye."""
 
 _Look = tuple[Camera, Camera, float]
 """The clip's camera, the one that is looked by, and the seconds."""
@@ -51,6 +62,25 @@ class Swing:
     degrees: float
     unknown: float
     holds: bool
+
+
+class LoopWidths(NamedTuple):
+    """How far the page leaves the clip's cameras; as given here where it is not known how far the clip tells.
+
+    Attributes:
+        angle: degrees to either side of loops, half as much up and down.
+        dolly: how many times as far a dolly zoom goes.
+        pulls: [times][directions] how many times that wide an ellipse may be in which the camera is pulled aside, at even steps of
+            the clip and of ``PULL_DIRECTIONS``, but for the loop, which is in reach whatever this says.
+    """
+
+    angle: float = 6.0
+    dolly: float = 1.5
+    pulls: tuple[tuple[float, ...], ...] = ((1.0,) * PULL_DIRECTIONS,)
+
+
+DEFAULT_WIDTHS = LoopWidths()
+"""Where nothing was measured."""
 
 
 class Amplitudes:
@@ -89,6 +119,33 @@ class Amplitudes:
         factor, unknown, is_clear = self._furthest(DOLLY_FACTORS, lambda factor: [(own, dolly_zoom(own, distance, factor), t)])
         report(f"Dolly zoom: {factor:g} times as far{_tell(unknown, is_clear)}.")
         return factor
+
+    def pulls(self, times: Sequence[float], angle: float) -> tuple[tuple[float, ...], ...]:
+        """Return [times][directions] what ``LoopWidths.pulls`` says, for loops of ``angle`` degrees."""
+        distance = 1 / self._scene.similarity.scale
+        owns = [self.path.at(t) for t in times]
+        directions = np.arange(PULL_DIRECTIONS) * 2 * np.pi / PULL_DIRECTIONS
+
+        def unseen(pulls: np.ndarray, which: np.ndarray) -> np.ndarray:
+            """Return [n] shares of pulls [times, directions] at some of their places [n, 2]."""
+            yaws, pitches = pulls * angle * np.cos(directions), pulls * angle / 2 * np.sin(directions)
+            views = [(turn_aside(owns[k], distance, float(yaws[k, d]), float(pitches[k, d])), times[k]) for k, d in which.tolist()]
+            return np.array(list(in_threads(lambda view: self._visibility.unseen_share(*view), views, self._visibility.threads)))
+
+        here = np.array([[self._visibility.unseen_share(own, t)] for own, t in zip(owns, times, strict=True)])
+        outer = np.full((len(times), PULL_DIRECTIONS), PULL_RANGE[1])
+        beyond = unseen(outer, np.argwhere(outer > 0)).reshape(outer.shape)
+        # Where it ends is looked for on the line between two shares that are known, and once more from what is seen there.
+        inner = np.clip(_place_of(MAX_UNSEEN_SHARE, 0 * outer, outer, here, beyond), *PULL_RANGE)
+        found, nearer = beyond.copy(), np.argwhere(inner < outer)
+        found[tuple(nearer.T)] = unseen(inner, nearer)
+        is_within = found <= MAX_UNSEEN_SHARE
+        before = _place_of(MAX_UNSEEN_SHARE, 0 * outer, inner, here, found)
+        after = np.where(inner < outer, _place_of(MAX_UNSEEN_SHARE, inner, outer, found, beyond), inner)
+        pulls = np.clip(np.where(is_within, after, before), *PULL_RANGE).round(3)
+        left, right = pulls[:, 0].min(), pulls[:, PULL_DIRECTIONS // 2].min()
+        report(f"Dragging: {angle * left:.3g} degrees straight to the left, {angle * right:.3g} to the right.")
+        return tuple(map(tuple, pulls.tolist()))
 
     def _furthest(self, values: Sequence[float], looks: Callable[[float], list[_Look]]) -> tuple[float, float, bool]:
         """Return the last of ascending values whose views the clip has seen well enough, the first if none, with what
@@ -133,10 +190,16 @@ def _tell(unknown: float, is_clear: bool) -> str:
     return f"{'' if is_clear else ', close to what moves'}; {unknown:.0%} of what it shows there is a guess"
 
 
-def loop_widths(model: PartedRenderer, scene: Scene) -> tuple[float, float]:
-    """For loops at any time of the clip: degrees to either side, and how many times as far a dolly zoom goes."""
+def _place_of(value: float, low: np.ndarray, high: np.ndarray, at_low: np.ndarray, at_high: np.ndarray) -> np.ndarray:
+    """Return where a line through two values has a third one; far off where it hardly rises."""
+    return low + (high - low) * (value - at_low) / np.maximum(at_high - at_low, 1e-6)
+
+
+def loop_widths(model: PartedRenderer, scene: Scene) -> LoopWidths:
+    """Return how far to go at any time of the clip."""
     amplitudes, times = Amplitudes(model, scene, None), scene.timestamps
-    probes = [float(times[k]) for k in spread(len(times), 3)]
+    probes = [float(times[k]) for k in spread(len(times), _PROBE_TIMES)]
     middle = probes[len(probes) // 2]
     subject = subject_distance(model, amplitudes.path.at(middle), middle, 1 / scene.similarity.scale)
-    return amplitudes.angle(probes, "swinging camera"), amplitudes.dolly(middle, subject)
+    angle, dolly = amplitudes.angle(probes, "swinging camera"), amplitudes.dolly(middle, subject)
+    return LoopWidths(angle, dolly, amplitudes.pulls(probes, angle))

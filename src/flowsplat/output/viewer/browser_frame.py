@@ -34,6 +34,12 @@ class Pose:
         return Rotation.from_quat(self.wxyz, scalar_first=True).as_matrix()[:, 2]
 
 
+def limit_turn(turn: tuple[float, float], most: float) -> tuple[float, float]:
+    """Return degrees to the left and up, no more than ``most`` to either side and half as many up and down."""
+    share = max(float(np.hypot(turn[0], 2 * turn[1])) / most, 1.0)
+    return turn[0] / share, turn[1] / share
+
+
 class BrowserFrame:
     """The browser's coordinates: the scene, moved and scaled to a median depth of ``SCENE_DEPTH``."""
 
@@ -48,6 +54,11 @@ class BrowserFrame:
         focal = height / 2 / np.tan(pose.fov / 2)
         K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
         return self.to_scene.camera(Camera(rigid(R, -R @ pose.position), K, width, height))
+
+    def turn_between(self, base: Pose, pose: Pose) -> tuple[float, float]:
+        """Return degrees to the left and up by which ``pose`` is turned from ``base``, as ``turn_aside`` turns cameras."""
+        right, down, ahead = Rotation.from_quat(base.wxyz, scalar_first=True).inv().apply(pose.forward)
+        return float(np.degrees(np.arctan2(right, ahead))), float(np.degrees(np.arcsin(np.clip(down, -1, 1))))
 
     def pose(self, camera: Camera) -> Pose:
         """Return the browser's camera that stands where ``camera`` does; a principal point off the middle is lost."""

@@ -71,12 +71,14 @@ class Wish:
         t: seconds of the clip.
         look: what is drawn.
         pose: where from; None = from where the input camera is at that time.
+        turn: degrees by which that is turned to the left and up, round the middle of the scene.
     """
 
     size: tuple[int, int]
     t: float
     look: Look
     pose: Pose | None
+    turn: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,7 @@ def draw(source: Source, browser: BrowserFrame, wish: Wish) -> Drawing:
         room, camera = left, browser.camera(wish.pose, left.width, left.height)
     else:
         room = fit_box(source.size, left)
-        camera = source.path.at(wish.t).resize(room.width, room.height)
+        camera = source.input_camera(wish.t, wish.turn).resize(room.width, room.height)
     pose = wish.pose or _fit_whole_view(browser, camera, wish.size[1])
     if wish.look.stereo:
         for half, side in zip((left, right), _BOTH_EYES, strict=True):
@@ -161,7 +163,7 @@ def render_look(source: Source, camera: Camera, wish: Wish, side: int = 0) -> tu
         scale = source.scales.flow * camera.width / source.size[0]
         flow = seen.flow if t + source.step <= source.clip[1] else -seen.flow
         image = flow_to_color(np.where(covered[..., None], flow, np.nan), scale)
-    if look.tracks and wish.pose is None and source.tracks is not None:
+    if look.tracks and wish.pose is None and not any(wish.turn) and source.tracks is not None:
         draw_tracks(image, source, t)
     return image, np.where(covered, seen.depth, np.inf).astype(np.float32)
 
@@ -176,7 +178,7 @@ def _next_shot(source: Source, camera: Camera, wish: Wish, side: int) -> tuple[C
     alone."""
     t = wish.t + source.step if wish.t + source.step <= source.clip[1] else wish.t - source.step
     if wish.pose is None:
-        camera = source.path.at(t).resize(camera.width, camera.height)
+        camera = source.input_camera(t, wish.turn).resize(camera.width, camera.height)
     return _eye(source, camera, side), t
 
 

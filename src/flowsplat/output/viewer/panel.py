@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from typing import Any, get_args
 
 import numpy as np
@@ -10,7 +11,8 @@ import viser
 
 from flowsplat.common.spread import spread
 from flowsplat.gaussians.renderer import PARTS
-from flowsplat.output.viewer.browser_frame import SCENE_DEPTH, BrowserFrame, Pose
+from flowsplat.output.videos.amplitudes import SWING_ANGLES
+from flowsplat.output.viewer.browser_frame import SCENE_DEPTH, BrowserFrame, Pose, limit_turn
 from flowsplat.output.viewer.controls import Control, Controls, as_text
 from flowsplat.output.viewer.drawing import Compare, Drawing, ImageKind, Look
 from flowsplat.output.viewer.export_panel import ExportPanel
@@ -31,11 +33,16 @@ _FRUSTUM_SIZE = 0.25
 """Size of a frustum in the browser's coordinates. Chosen by eye."""
 _PIVOT_DISTANCE = {"orbit": SCENE_DEPTH, "fly": 0.05}
 """How far ahead of the camera the point lies round which dragging turns it."""
+_KEPT_PLACES = 32
+"""Of those where the browser's camera was put: as many may be on their way. Chosen by eye."""
 _TIME_STEP = 0.001
 """Seconds. Chosen by eye."""
 _MAX_ENLARGEMENT = 2
 """Times the size of the clip. Beyond that, the gaps between Gaussians are seen rather than the scene. Chosen by eye."""
-_MODE_HINT = "Orbit turns round the scene, fly looks about; W A S D Q E move. The input camera stays the clip's."
+_MODE_HINT = "The input camera follows the clip. Orbit turns round the scene, fly looks about; W A S D Q E move."
+_FARTHER_HINT = "Turn and fly as far as you like: what the clip does not tell fades."
+MAX_TURN = min(SWING_ANGLES)
+"""Degrees by which the input camera is looked past to either side, half as many up and down: as far as every loop goes."""
 _MAX_OBJECTS = 16
 """Objects that can be chosen: those with the most Gaussians. Chosen by eye."""
 _DISTANCE_RANGE, _DISTANCE_STEP = (0.3, 3.0), 0.01
@@ -57,10 +64,9 @@ class Panel:
         self._is_over = False
         self._browser = BrowserFrame(source.scene.similarity)
         self._session = Session(source.clip, min(largest, _MAX_ENLARGEMENT * max(source.size)))
-        self._session.mode = "orbit"
         self._notifications = Notifications(client)
         self._overlays: dict[str, Any] = {}
-        self._stood: Pose | None = None
+        self._stood: deque[np.ndarray] = deque(maxlen=_KEPT_PLACES)
         counts = source.loaded.part("all").gaussians.object_counts
         self._objects = sorted(sorted(counts, key=lambda number: -counts[number])[:_MAX_OBJECTS])
         self._build()
@@ -96,7 +102,8 @@ class Panel:
             self._speed = controls.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1")
             self._loop = controls.add_checkbox("Loop", True)
         with gui.add_folder("Camera"):
-            self._mode = controls.add_dropdown("Mode", get_args(Mode), initial_value="orbit", hint=_MODE_HINT)
+            self._mode = controls.add_dropdown("Mode", get_args(Mode), initial_value="input camera", hint=_MODE_HINT)
+            farther = gui.add_button("Look farther", icon=viser.Icon.MAXIMIZE, hint=_FARTHER_HINT)
             home = gui.add_button("To the input camera", icon=viser.Icon.HOME)
         with gui.add_folder("Image"):
             self._what = controls.add_dropdown("Show", get_args(ImageKind), initial_value="color")
@@ -123,7 +130,7 @@ class Panel:
             self._trails = controls.add_checkbox("Paths of Gaussians", False)
             self._tracks = controls.add_checkbox("Tracks of the clip", False, hint="Seen from the input camera.",
                                             visible=self._source.scene.has_tracks)  # fmt: skip
-        for button, action in ((self._play, self._toggle), (home, self._go_home)):
+        for button, action in ((self._play, self._toggle), (home, self._go_home), (farther, self._look_farther)):
             button.on_click(self._notifications.callback(action))
         for control, action in (
             (self._time, self._seek), (self._speed, self._set_speed), (self._loop, self._set_loop),
@@ -174,16 +181,23 @@ class Panel:
         if self._is_over:
             return
         pose = Pose(np.array(camera.wxyz), np.array(camera.position), float(camera.fov))
-        stood = self._stood
+        now = time.monotonic()
         with self._worker.change():
-            mode = self._session.mode
-            self._session.move(pose, (camera.image_width, camera.image_height), time.monotonic())
-        if mode == "input camera" and stood is not None and np.abs(pose.position - stood.position).max() > 1e-3:
-            self._stand(stood, _PIVOT_DISTANCE["orbit"])
+            session = self._session
+            session.move(pose, (camera.image_width, camera.image_height), now)
+            # Where it was put itself, a browser may tell of late.
+            is_pulled = session.mode == "input camera" and all(np.abs(pose.position - each).max() > 1e-3 for each in self._stood)
+            # While it plays, the browser's camera is always a little behind.
+            if is_pulled and not session.clock.playing and self._session.look.compare != "wipe":
+                turn = self._browser.turn_between(self._browser.pose(self._source.path.at(session.clock.at(now))), pose)
+                session.turn = limit_turn(turn, MAX_TURN)
+                session.change(now)
+        if is_pulled:
+            self._stand(self._find_input_pose(), _PIVOT_DISTANCE["orbit"])
 
     def _stand(self, pose: Pose, reach: float) -> None:
         """Bring the browser's camera to a pose, turning about a point ``reach`` ahead of it."""
-        self._stood = pose
+        self._stood.append(pose.position)
         camera = self.client.camera
         up = -self._browser.from_scene.camera(self._browser.camera(pose, 2, 2)).viewmat[1, :3]
         with self.client.atomic():
@@ -193,14 +207,24 @@ class Panel:
             camera.fov = pose.fov
 
     def _find_input_pose(self) -> Pose:
-        """Return the input camera at this time, all of its image inside the window."""
-        shown = self._source.path.at(self._session.clock.at(time.monotonic()))
+        """Return the input camera at this time, turned as it is looked past, all of its image inside the window."""
+        shown = self._source.input_camera(self._session.clock.at(time.monotonic()), self._session.turn)
         canvas = (self.client.camera.image_width, self.client.camera.image_height)
         box = fit_box(self._source.size, Box(0, 0, *canvas))
         pose = self._browser.pose(shown)
         return Pose(pose.wxyz, pose.position, 2 * float(np.arctan(np.tan(pose.fov / 2) * canvas[1] / box.height)))
 
+    def _look_farther(self) -> None:
+        if self._mode.value == "input camera":
+            _set_value(self._mode, "orbit")
+            _set_value(self._confidence_fade, True)
+            self._set_mode()
+            self._set_look()
+
     def _go_home(self) -> None:
+        with self._worker.change():
+            self._session.turn = (0.0, 0.0)
+            self._session.change(time.monotonic())
         self._stand(self._find_input_pose(), _PIVOT_DISTANCE.get(self._session.mode, SCENE_DEPTH))
 
     def _set_mode(self) -> None:
@@ -231,6 +255,8 @@ class Panel:
             _set_value(self._mode, "input camera")
             self._set_mode()
         with self._worker.change():
+            if look.compare == "wipe":
+                self._session.turn = (0.0, 0.0)
             self._session.look = look
             self._session.change(time.monotonic())
         if are_moved and self._trails.value:

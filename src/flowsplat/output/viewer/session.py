@@ -33,6 +33,8 @@ class Session:
     def __init__(self, clip: tuple[float, float], largest: int):
         self.clock, self.resolution = PlaybackClock(*clip), AdaptiveResolution(largest)
         self.mode: Mode = "input camera"
+        self.turn = (0.0, 0.0)
+        """Degrees to the left and up that the input camera is looked past."""
         self.look = Look()
         self.pose: Pose | None = None
         self.canvas: tuple[int, int] | None = None
@@ -72,7 +74,8 @@ class Session:
             if not is_still and now - self._drawn_at < 1 / _MAX_FPS:
                 return None
         size = self.resolution.still(self.canvas) if is_still else self.resolution.choose_moving_size(self.canvas)
-        return ImageJob(Wish(size, t, self.look, None if self.mode == "input camera" else self.pose), is_still, version)
+        where = (None, self.turn) if self.mode == "input camera" else (self.pose,)
+        return ImageJob(Wish(size, t, self.look, *where), is_still, version)
 
     def is_restless(self, now: float) -> bool:
         """Return whether it will need an image soon without anything more being changed."""

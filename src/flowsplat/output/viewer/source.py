@@ -20,7 +20,8 @@ from flowsplat.common.run_paths import RunPaths
 from flowsplat.gaussians.distances import Distances
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.renderer import Part
-from flowsplat.geometry.paths import CameraPath
+from flowsplat.geometry import Camera
+from flowsplat.geometry.paths import CameraPath, turn_aside
 from flowsplat.output.splat_files import is_splat_file
 from flowsplat.output.videos.writing import Scales
 from flowsplat.scenes import Scene
@@ -71,6 +72,11 @@ class Source:
         self.scene = Scene(place)
         model, state = read(self.scene)
         self.loaded = Loaded(self._ready(model), state, 0)
+
+    def input_camera(self, t: float, turn: tuple[float, float]) -> Camera:
+        """Return the clip's camera at ``t`` seconds, turned by degrees to the left and up round the middle of the scene."""
+        own = self.path.at(t)
+        return turn_aside(own, 1 / self.scene.similarity.scale, *turn) if any(turn) else own
 
     def model(self, part: Part, distances: Sequence[tuple[int, float]] = (), confidence_fade: bool = False) -> SceneModel:
         """Return the newest model of a part of the scene, with objects so many times as far away as they were trained.

@@ -30,6 +30,8 @@ class Exporter:
         has_gaussians: it takes ``max_gaussians`` and, as one file, ``size_mb``; otherwise it has the cameras alone.
         keeps_slopes: brightness may vary inside its Gaussians; otherwise each has one color, and what is lost is told.
         reader: dotted name of what in flowsplat reads it back.
+        note: what is told of a file that was written: what of the clip it holds.
+        embed: gives the HTML that shows a file in another page; it takes ``embed``.
     """
 
     write: Callable[[Path, SceneModel, Scene, ExportOptions], None]
@@ -40,6 +42,8 @@ class Exporter:
     has_gaussians: bool = True
     keeps_slopes: bool = False
     reader: str | None = None
+    note: str | None = None
+    embed: Callable[[Path, Scene], str] | None = None
 
     @property
     def is_folder(self) -> bool:

@@ -12,6 +12,10 @@ from flowsplat.scenes import Scene
 
 _PAGE_BYTES = 200_000
 """The player without its scene: program, poster, camera paths."""
+_NOTE = (
+    "The page holds the scene, one rendered image and the name of the clip: no frame, no sound, nothing of when or where it was "
+    "filmed."
+)
 
 
 def write(path: Path, model: SceneModel, scene: Scene, options: ExportOptions) -> None:
@@ -20,6 +24,13 @@ def write(path: Path, model: SceneModel, scene: Scene, options: ExportOptions) -
     from flowsplat.output.videos.amplitudes import loop_widths
 
     write_player(path, model, scene.timestamps.tolist(), scene.cameras, scene.name, loop_widths(model, scene))
+
+
+def embed(path: Path, scene: Scene) -> str:
+    """Return the HTML that shows the page in another one."""
+    from flowsplat.output.player.page import make_iframe
+
+    return make_iframe(path, scene.name, scene.width, scene.height)
 
 
 def estimate_bytes(model: SceneModel, scene: Scene, options: ExportOptions) -> int:
@@ -34,7 +45,7 @@ EXPORTERS.add(
         "html",
         "Page",
         "A page that plays the scene in any browser.",
-        Exporter(write, estimate_bytes, "player.html", keeps_slopes=True),
+        Exporter(write, estimate_bytes, "player.html", keeps_slopes=True, note=_NOTE, embed=embed),
         place=10,
     )
 )

@@ -31,6 +31,8 @@ function offerObjects(state) {
   };
 }
 
+const TAP = { seconds: 0.35, pixels: 30 };  // two within these are a double click
+
 class Controls {
   constructor(state, canvas, scene) {
     this.state = state;
@@ -38,9 +40,10 @@ class Controls {
     this.frame = 1 / Math.max(scene.about.frames - 1, 1);
     this.pressed = new Set();
     this.pointers = new Map();
+    this.tap = null;  // where the last short touch was, and when
     canvas.addEventListener("pointerdown", (event) => this.down(event));
     canvas.addEventListener("pointermove", (event) => this.moved(event));
-    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => this.pointers.delete(event.pointerId));
+    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => this.up(event));
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     canvas.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
     addEventListener("keydown", (event) => this.key(event));
@@ -48,31 +51,67 @@ class Controls {
     addEventListener("blur", () => this.pressed.clear());
   }
 
-  /** Leave the camera where it is and let the person move it. */
-  free() {
+  /** The camera is a person's from now on: of one that moves by itself back to the clip's, which can be pulled aside. */
+  take() {
     this.state.isHeld = false;
-    if (!this.state.isFree) this.state.setMode("orbit");
+    if (this.state.path) this.state.setMode("clip");
   }
 
   down(event) {
     this.canvas.setPointerCapture(event.pointerId);
     this.pointers.set(event.pointerId, event);
     this.canvas.focus();
+    this.state.elastic.isPulled = true;
+    this.start = this.pointers.size === 1 ? event : null;
+  }
+
+  up(event) {
+    if (!this.pointers.delete(event.pointerId)) return;
+    this.state.elastic.isPulled = this.pointers.size > 0;
+    if (this.start?.pointerId !== event.pointerId || event.type !== "pointerup") return;
+    // Not by "dblclick": browsers do not tell it of all fingers.
+    const near = (other) => {
+      const isSoon = event.timeStamp - other.timeStamp < 1000 * TAP.seconds;
+      return isSoon && Math.hypot(event.clientX - other.clientX, event.clientY - other.clientY) < TAP.pixels;
+    };
+    if (!near(this.start)) this.tap = null;
+    else if (!this.tap || !near(this.tap)) this.tap = event;
+    else {
+      this.tap = null;
+      this.state.goHome();
+    }
   }
 
   moved(event) {
     const before = this.pointers.get(event.pointerId);
     if (!before) return;
-    this.free();
-    const { free } = this.state;
+    this.take();
     const pinch = this.pointers.size === 2 ? this.spread() : null;
     this.pointers.set(event.pointerId, event);
     const pixels = Math.max(this.canvas.clientHeight, 1);
     const [x, y] = [(event.clientX - before.clientX) / pixels, (event.clientY - before.clientY) / pixels];
-    if (pinch !== null) {
-      free.zoom(pinch / Math.max(this.spread(), 1));
+    const isShift = event.buttons & 6 || event.shiftKey;
+    const nearer = pinch === null ? 1 : Math.max(this.spread(), 1) / Math.max(pinch, 1);
+    if (this.state.isFree) this.moveFree(x, y, pinch !== null, isShift, nearer);
+    else this.pull(x, y, pinch !== null, isShift, nearer);
+  }
+
+  pull(x, y, isPinch, isShift, nearer) {
+    const { elastic } = this.state;
+    const across = x * (this.canvas.clientHeight / Math.max(this.canvas.clientWidth, 1)) * (this.state.isStereo ? 2 : 1);
+    if (isPinch) {
+      elastic.zoomBy(nearer);
+      elastic.shiftBy(across / 2, y / 2);
+    } else if (isShift) elastic.shiftBy(across, y);
+    else elastic.drag(x, y);
+  }
+
+  moveFree(x, y, isPinch, isShift, nearer) {
+    const { free } = this.state;
+    if (isPinch) {
+      free.zoom(1 / nearer);
       free.move([(-x * free.distance) / 2, (-y * free.distance) / 2, 0]);
-    } else if (event.buttons & 6 || event.shiftKey) {
+    } else if (isShift) {
       free.move([-x * free.distance, -y * free.distance, 0]);
     } else if (this.state.mode === "fly") {
       free.turn(-1.5 * x, 1.5 * y);
@@ -87,9 +126,12 @@ class Controls {
   }
 
   wheel(event) {
+    if (isEmbedded()) return;  // it scrolls the page round this one
     event.preventDefault();
-    this.free();
-    this.state.free.zoom(Math.exp(0.0012 * event.deltaY * (event.deltaMode === 1 ? 20 : 1)));
+    this.take();
+    const farther = Math.exp(0.0012 * event.deltaY * (event.deltaMode === 1 ? 20 : 1));
+    if (this.state.isFree) this.state.free.zoom(farther);
+    else this.state.elastic.zoomBy(1 / farther);
   }
 
   key(event) {
@@ -99,7 +141,7 @@ class Controls {
     if (event.code in FLYING) {
       state.setMode("fly");
       this.pressed.add(event.code);
-    } else if (event.code === "Digit1" || event.code === "KeyR") state.setMode("clip");
+    } else if (event.code === "Digit1" || event.code === "KeyR") state.goHome();
     else if (event.code === "Digit2") state.setMode("orbit");
     else if (event.code === "Digit3") state.setMode("fly");
     else if (event.code === "Space" && !isField) state.setPlaying(!state.isPlaying);

@@ -20,6 +20,8 @@ class State {
     this.isStereo = false;
     this.isConfidenceFade = false;
     this.factors = [1, ...about.objects.map(() => 1)];  // by the place of the object; the first is of what belongs to none
+    this.knowsGuesses = about.arrays.some(({ name }) => name === "logReaches");
+    this.elastic = new ElasticView(about.reach);  // beside the clip's camera, as long as nobody looks farther
     this.isHeld = false;  // an image that a program asked for stays until a person does something
     this.free = new FreeCamera(about.clipPath);
     this.phase = 0;  // how far a loop has gone, from 0 to 2 pi
@@ -37,7 +39,8 @@ class State {
   camera() {
     if (this.isFree) return this.free.camera;
     const { path } = this;
-    return path ? cameraOf(this.about, path, this.time, this.phase) : cameraOnPath(this.about.clipPath, this.time);
+    if (path) return cameraOf(this.about, path, this.time, this.phase);
+    return this.elastic.beside(cameraOnPath(this.about.clipPath, this.time), this.time, this.about.width, this.about.height);
   }
 
   setMode(mode) {
@@ -46,11 +49,21 @@ class State {
     const wasFree = this.isFree;
     this.mode = mode;
     if (this.isFree && !wasFree) this.free.startFrom(before);
+    if (this.isFree !== wasFree) this.setConfidenceFade(this.isFree && this.knowsGuesses);  // farther away much is a guess
+    this.elastic.reset();
     if (this.path?.offsets) {
       this.phase = 0;
       this.setPlaying(false);  // time stands still until it is told to play
     }
     element("camera").value = mode;
+    element("farther").setAttribute("aria-pressed", String(this.isFree));
+  }
+
+  /** To the clip's camera: by and by, where it is near. */
+  goHome() {
+    this.isHeld = false;
+    if (this.mode === "clip") this.elastic.giveWay();
+    else this.setMode("clip");
   }
 
   setPart(part) {
@@ -84,6 +97,13 @@ class State {
   setConfidenceFade(isConfidenceFade) {
     this.isHeld = false;
     this.isConfidenceFade = isConfidenceFade;
+    element("confidence-fade").checked = isConfidenceFade;
+  }
+
+  /** What happens to that of the scene which the clip does not tell. */
+  get guesses() {
+    if (!this.knowsGuesses) return "shown";
+    return this.isConfidenceFade ? "removed" : "masked";
   }
 
   setPlaying(isPlaying) {
@@ -107,6 +127,7 @@ class State {
   }
 
   step(seconds) {
+    this.elastic.step(seconds, this.time);
     if (this.path?.offsets) this.phase = (this.phase + (2 * Math.PI * seconds) / this.path.seconds) % (2 * Math.PI);
     if (!this.isPlaying) return;
     const time = this.time + (this.speed * seconds) / (this.about.last - this.about.first);
@@ -145,23 +166,41 @@ class Player {
     this.isSharp = false;
     this.sorted = null;
     this.isSorting = false;
+    this.recording = null;
     this.size = fit(this.about);
-    addEventListener("resize", () => this.fit());
+    new ResizeObserver(() => this.fit()).observe(element("stage"));
     this.canvas.addEventListener("webglcontextlost", () => complain(new Error("The graphics card was reset: reload the page.")));
     const { state } = this;
     element("play").onclick = () => state.setPlaying(!state.isPlaying);
     element("time").oninput = () => state.seek(Number(element("time").value));
     element("speed").onchange = () => (state.speed = Number(element("speed").value));
     element("camera").onchange = () => state.setMode(element("camera").value);
+    element("farther").onclick = () => state.setMode(state.isFree ? "clip" : "orbit");
+    element("record").hidden = !Recording.type;
+    element("record").onclick = () => this.record();
+    offerSharing(scene.about.title);
     element("part").onchange = () => state.setPart(element("part").value);
     element("part").parentElement.hidden = (!scene.about.resting || !scene.about.moving) && scene.about.objects.length < 2;
     offerObjects(state);
-    element("confidence-fade").parentElement.hidden = !scene.arrays.logReaches;
+    element("confidence-fade").parentElement.hidden = !state.knowsGuesses;
     element("confidence-fade").onchange = () => state.setConfidenceFade(element("confidence-fade").checked);
     element("stereo").onchange = () => {
       state.setStereo(element("stereo").checked);
       this.fit();
     };
+  }
+
+  /** Begin a video of what is seen, or end it and save it. */
+  record() {
+    if (this.recording) {
+      this.recording.stop();
+      this.recording = null;
+    } else {
+      this.detail = 1;  // images of one size
+      this.recording = new Recording(this.canvas, (video) => save(video, `${this.about.title}.webm`));
+    }
+    element("record").textContent = this.recording ? "Stop and save" : "Record";
+    element("record").setAttribute("aria-pressed", String(Boolean(this.recording)));
   }
 
   fit() {
@@ -174,9 +213,9 @@ class Player {
     return this.sorter.sort([...rotation.slice(6), translation[2]], time, shown, distances);
   }
 
-  draw({ cameras, time, shown, distances, isConfidenceFade, width, height }, order) {
+  draw({ cameras, time, shown, distances, guesses, width, height }, order) {
     this.renderer.resize(width, height, cameras.length);
-    this.renderer.draw(order, cameras, time, shown.part, distances, isConfidenceFade);
+    this.renderer.draw(order, cameras, time, shown.part, distances, guesses);
     document.body.classList.add("shown");
   }
 
@@ -187,9 +226,9 @@ class Player {
     const [x, y] = [width / this.about.width, height / this.about.height];
     const [fx, fy, cx, cy] = camera.lens;
     const sized = { ...camera, lens: [fx * x, fy * y, cx * x, cy * y] };
-    const { time, shown, isStereo, isConfidenceFade } = this.state;
+    const { time, shown, isStereo, guesses } = this.state;
     const cameras = isStereo ? eyesOf(sized) : [sized];
-    return { cameras, time, shown, distances: this.state.distances(), isConfidenceFade, width, height };
+    return { cameras, time, shown, distances: this.state.distances(), guesses, width, height };
   }
 
   frame(now) {
@@ -212,7 +251,7 @@ class Player {
     const what = JSON.stringify([this.state.camera(), time, part, factors, isStereo, isConfidenceFade, this.size, devicePixelRatio]);
     const isSame = what === this.last;
     if (isSame && (this.detail === 1 || this.isSharp)) return;
-    if (!isSame) this.adapt(seconds);
+    if (!isSame && !this.recording) this.adapt(seconds);
     this.isSharp = isSame;
     this.last = what;
     const view = this.view(isSame ? 1 : this.detail);  // at rest there is time for all pixels
@@ -233,6 +272,7 @@ class Player {
 
 async function start() {
   const about = JSON.parse(element("about").textContent);
+  document.body.classList.toggle("embedded", isEmbedded());
   fit(about);
   if (!window.WebGL2RenderingContext) throw new Error(NO_WEBGL);
   if (!window.DecompressionStream) throw new Error("This browser is too old to unpack the scene: it has no DecompressionStream. One from 2023 or later has it.");
@@ -250,8 +290,9 @@ async function start() {
       player.last = "";
       const clipTime = (time - about.first) / (about.last - about.first);
       const distances = state.distances(clipTime);
-      const { shown, isConfidenceFade } = state;
-      const view = { cameras: [cameraOfScene(about, viewmat, K)], time: clipTime, shown, distances, isConfidenceFade, width, height };
+      const { shown } = state;
+      const guesses = state.isConfidenceFade ? "removed" : "shown";
+      const view = { cameras: [cameraOfScene(about, viewmat, K)], time: clipTime, shown, distances, guesses, width, height };
       player.draw(view, await player.order(view));
       return player.canvas.toDataURL("image/png");
     },

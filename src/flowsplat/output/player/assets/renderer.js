@@ -1,6 +1,7 @@
 // WebGL2: textures of the scene, the slice of the active Gaussians, one draw of all of them, and the filling of uncovered pixels.
 
 const NO_WEBGL = "This browser cannot show the scene: it has no WebGL2. A current Chrome, Edge, Firefox or Safari has it.";
+const MASK_SIZE = 24;  // pixels of the longer side of the small image that tells where nothing is left around
 const SLICE_WIDTH = 512;  // Gaussians in a row of the texture of the slice
 
 class Renderer {
@@ -220,15 +221,17 @@ class Renderer {
 
   /**
    * Draw the Gaussians of `order` (farthest first) as each of `cameras` sees them at clip time `time`, beside each other.
-   * `distances`: the pivot, and how many times as far from there every object is. `isConfidenceFaded`: without what is a guess.
+   * `distances`: the pivot, and how many times as far from there every object is. `guesses`: "shown", "removed", so that black
+   * is left, or "masked": removed, but for small gaps, and fading into the page where nothing is left.
    */
-  draw(order, cameras, time, part, distances, isConfidenceFade) {
+  draw(order, cameras, time, part, distances, guesses) {
     this.upload(order);
-    cameras.forEach((camera, eye) => this.drawEye(order, camera, time, part, distances, isConfidenceFade, eye));
+    cameras.forEach((camera, eye) => this.drawEye(order, camera, time, part, distances, guesses, eye));
   }
 
-  drawEye(order, camera, time, part, distances, isConfidenceFade, eye) {
+  drawEye(order, camera, time, part, distances, guesses, eye) {
     const gl = this.gl;
+    const isConfidenceFade = guesses !== "shown";
     const [top] = this.levels;
     const scene = { order: this.order, states: this.states, motions: this.motions, gains: this.gains };
     if (this.isDirect) {
@@ -252,9 +255,13 @@ class Renderer {
     gl.drawElements(gl.TRIANGLES, 6 * order.length, gl.UNSIGNED_INT, 0);
     gl.disable(gl.BLEND);
     gl.bindVertexArray(this.nothing);
-    const isFilled = this.about.fill && part !== "objects" && !isConfidenceFade;
+    const isFilled = this.about.fill && part !== "objects" && guesses !== "removed";
     if (isFilled) this.fill();
-    this.use(this.present, null, { source: top.own.texture, filled: (top.filled ?? top.own).texture });
+    const isMasked = isFilled && guesses === "masked";
+    const around = this.levels.find(({ own }) => Math.max(own.width, own.height) <= MASK_SIZE) ?? top;
+    this.use(this.present, null, { source: top.own.texture, filled: (top.filled ?? top.own).texture, around: around.own.texture });
+    gl.uniform2f(this.present.at.size, top.own.width, top.own.height);
+    gl.uniform1i(this.present.at.isMasked, isMasked ? 1 : 0);
     gl.viewport(eye * top.own.width, 0, top.own.width, top.own.height);
     gl.uniform1i(this.present.at.left, eye * top.own.width);
     gl.uniform1i(this.present.at.isFilled, isFilled ? 1 : 0);

@@ -4,6 +4,7 @@
 const pages = [...document.querySelectorAll("script.page")];
 const buttons = [...document.querySelectorAll("button[data-number]")];
 const stage = document.getElementById("stage");
+document.body.classList.toggle("embedded", location.hash === "#embed");
 const inTurn = document.getElementById("in-turn");
 
 /** The state of the player in a frame; nothing while it is being unpacked. */
@@ -13,6 +14,7 @@ function open(number) {
   const frame = document.createElement("iframe");
   frame.title = buttons[number].textContent;
   frame.className = "waiting";
+  frame.allow = "fullscreen";
   frame.dataset.number = number;
   frame.srcdoc = JSON.parse(pages[number].textContent);
   stage.append(frame);
