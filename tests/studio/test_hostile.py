@@ -12,7 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from flowsplat.studio import uploads
+from flowsplat.common.errors import InputError
+from flowsplat.studio import server, uploads
+from flowsplat.studio.options import StudioOptions
+from tests.output.viewer.browser import free_port
 from tests.studio.serving import Page, serve
 
 
@@ -30,7 +33,7 @@ def is_empty(page: Page, studio: Path) -> bool:
     return not files_of(page, studio)
 
 
-ADDRESSES = ("/", "/studio.js", "/api/projects", "/api/projects/x", "/files/x/poster.jpg", "/nothing")
+ADDRESSES = ("/", "/studio.js", "/state.js", "/api/projects", "/api/projects/x", "/files/x/poster.jpg", "/nothing")
 
 
 @pytest.mark.parametrize(
@@ -268,6 +271,23 @@ def test_more_than_a_page_says_is_not_read(page, clip):
         status = 400
     assert status == 400
     assert page.get(f"/api/projects/{name}")["state"] == "draft"
+
+
+@pytest.mark.parametrize("kind", ["file", "run", "shots", "below a file"])
+def test_what_is_no_folder_of_a_studio_is_a_sentence(tmp_path, kind):
+    place = tmp_path / "walk"
+    if kind in ("file", "below a file"):
+        place.write_bytes(b"x")
+    else:
+        place.mkdir()
+        (place / f"{kind}.json").write_text("{}")
+    named = place / "studio" if kind == "below a file" else place
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(InputError) as refused:
+        server.serve(named, StudioOptions(port=free_port(), open_browser=False))
+    assert str(named) in str(refused.value)
+    assert "-o" not in str(refused.value).split()
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_two_servers_do_not_share_a_folder(tmp_path):

@@ -104,7 +104,7 @@ def test_a_run_goes_through_its_states_and_its_page_is_made(page, tmp_path, clip
     begun = page.do("POST", f"/api/projects/{name}/run")
     assert begun["state"] == "running"
     assert begun["standing"]["left"] > 0
-    found = page.wait(name, lambda each: each["state"] == "done" and not each["waiting"] and not each["exporting"])
+    found = page.wait(name, lambda each: each["state"] == "done" and not each["waiting"] and not each["making"])
     assert found["message"] == ""
     said = (tmp_path / "studio" / name / "run.log").read_text().splitlines()
     begun = [line for line in said if line.startswith("$ flowsplat ")]
@@ -215,7 +215,7 @@ def test_an_export_that_is_a_folder_is_packed(tmp_path, clip, finished):
         name = finish(tmp_path / "studio", page, clip, finished)
         assert page.ask("GET", f"/pack/{name}/colmap")[0] == 400
         page.do("POST", f"/api/projects/{name}/export", {"to": "colmap"})
-        ready = page.wait(name, lambda each: not each["exporting"] and not each["waiting"], 120)
+        ready = page.wait(name, lambda each: not each["making"] and not each["waiting"], 120)
         (link,) = (each["link"] for each in ready["results"]["exports"] if each["name"] == "colmap")
         status, _, headers = page.ask("GET", link)
         assert status == 302

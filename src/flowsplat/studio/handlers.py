@@ -332,7 +332,8 @@ class ActionHandler(ClipReader):
             project = self.studio.copy(project)
         else:
             value = self.body()
-            self.studio.ask_export(project, str(value.get("to")) if isinstance(value, dict) else "")
+            wanted = str(value.get("to")) if isinstance(value, dict) else ""
+            (self.studio.ask_export if action == "export" else self.studio.ask_render)(project, wanted)
         self.studio.advance()
         self.answer(self.studio.describe(project))
 
@@ -406,7 +407,7 @@ class NothingHandler(Handler):
 
 _ID = r"([a-z0-9][a-z0-9-]{0,62})"
 ROUTES: list[tuple[str, type[Handler]]] = [
-    (r"/(|studio\.css|studio\.js)", PageHandler),
+    (rf"/(|{'|'.join(re.escape(path.name) for path in sorted(ASSETS.iterdir()) if path.suffix in ('.css', '.js'))})", PageHandler),
     (r"/api/projects", ListHandler),
     (r"/api/clips", ClipHandler),
     (rf"/api/projects/{_ID}", ProjectHandler),
@@ -414,7 +415,7 @@ ROUTES: list[tuple[str, type[Handler]]] = [
     (rf"/api/projects/{_ID}/look", LookHandler),
     (rf"/api/projects/{_ID}/frames/(\d{{1,5}})", FrameHandler),
     (rf"/api/projects/{_ID}/masks/(\d{{1,5}})", MasksHandler),
-    (rf"/api/projects/{_ID}/(run|stop|copy|export)", ActionHandler),
+    (rf"/api/projects/{_ID}/(run|stop|copy|export|render)", ActionHandler),
     (rf"/files/{_ID}/(.+)", FileHandler),
     (rf"/pack/{_ID}/([a-z0-9_-]{{1,40}})", PackHandler),
 ]

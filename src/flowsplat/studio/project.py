@@ -169,7 +169,7 @@ class Project:
 
     @property
     def waiting(self) -> list[str]:
-        """What is to be done with it, in order: ``run``, or ``export FORMAT``."""
+        """What is to be done with it, in order: ``run``, ``export FORMAT`` or ``render VIDEO``."""
         found: list[str] = self.record["waiting"]
         return found
 

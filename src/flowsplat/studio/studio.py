@@ -15,7 +15,7 @@ from flowsplat.studio.choices import Choices, keep_marks
 from flowsplat.studio.clips import Clips
 from flowsplat.studio.project import RECORD, Project, list_projects
 from flowsplat.studio.standing import StandingReader
-from flowsplat.studio.tasks import Tasks
+from flowsplat.studio.tasks import RENDERINGS, Tasks
 from flowsplat.studio.uploads import Uploads
 
 SAME_MOMENT_SECONDS = 0.002
@@ -146,6 +146,18 @@ class Studio:
         if results.state_of(project) != "done":
             raise InputError("There is no finished scene yet.")
         self._ask(project, f"export {entry.name}")
+
+    def ask_render(self, project: Project, name: str) -> None:
+        """Render one of the videos of ``tasks.RENDERINGS``.
+
+        Raises:
+            InputError: there is no such video, or no scene yet.
+        """
+        if name not in RENDERINGS:
+            raise InputError("There is no such video.")
+        if results.state_of(project) != "done":
+            raise InputError("There is no finished scene yet.")
+        self._ask(project, f"render {name}")
 
     def stop(self, project: Project) -> None:
         """Let a run stop, or wait no longer for its turn."""

@@ -1,4 +1,4 @@
-"""Start, stop and find the processes that do the work: ``flowsplat run`` and ``flowsplat export`` as anybody would type them.
+"""Start, stop and find the processes that do the work: ``flowsplat run``, ``export`` and ``render`` as anybody would type them.
 
 Each has a session of its own and writes into the project's log, so it goes on without the server. One that is started later finds
 it by its number and the time at which the system says that it began.
@@ -31,6 +31,12 @@ KILL_SECONDS = 10.0
 PROGRAM = (sys.executable, "-m", "flowsplat.cli")
 """What ``flowsplat`` is on a command line."""
 
+RENDERINGS = {
+    "background": ("The video without what moves", ("--render.paths", "input", "--render.parts", "background")),
+    "objects": ("What moves alone, on transparent", ("--render.paths", "input", "--render.parts", "objects")),
+}
+"""Videos that the page offers besides those of every run: what they are called, and the options of ``flowsplat render``."""
+
 _INTERRUPTED = {130, 128 + signal.SIGTERM, -signal.SIGTERM, -signal.SIGINT}
 _CUT_OFF = "It was cut off before it was done: was the computer switched off? Go on, and it continues where it was."
 
@@ -39,17 +45,21 @@ def list_words(project: Project, what: str, run_options: Sequence[str] = ()) -> 
     """Return the words of the command line, from ``flowsplat`` on.
 
     Args:
-        what: ``run``, or ``export FORMAT``.
+        what: ``run``, ``export FORMAT``, or ``render`` with one of ``RENDERINGS``.
 
     Raises:
-        InputError: there is no such format.
+        InputError: there is no such format, or no such video.
     """
     if what == "run":
         # The page shows one scene: the cut is chosen on it.
         places = [str(project.clip), "-o", str(project.run.path), "--shots", "off"]
         return ["flowsplat", "run", *places, *list_arguments(project.choices, run_options)]
-    to = what.removeprefix("export ")
-    return ["flowsplat", "export", str(project.run.path), "--to", EXPORTERS.entry(to).name]
+    kind, _, name = what.partition(" ")
+    if kind == "render":
+        if name not in RENDERINGS:
+            raise InputError(f"There is no video {name}.")
+        return ["flowsplat", "render", str(project.run.path), *RENDERINGS[name][1]]
+    return ["flowsplat", "export", str(project.run.path), "--to", EXPORTERS.entry(name).name]
 
 
 def command_line(project: Project, what: str, run_options: Sequence[str] = ()) -> str:
@@ -160,4 +170,4 @@ def _judge(project: Project, task: TaskFile, code: int | None) -> EndFile:
 def _says_done(project: Project, what: str, lines: Sequence[str]) -> bool:
     if what == "run":  # pipeline.summary.next_steps, the last that a whole run says
         return any(line.endswith(str(project.run.report_path)) for line in lines[-4:])
-    return any(line.startswith("Written: ") for line in lines[-2:])
+    return any(line.startswith(("Written: ", "Videos: ")) for line in lines[-2:])
