@@ -215,7 +215,10 @@ def test_what_cannot_be_taken_is_said_beside_it(chromium, tmp_path):
         page.wait_for_selector("#start-error:not([hidden])")
         assert page.locator("#start-error").text_content().startswith("notes.mp4 is not a video file")
         assert page.locator("#drop").is_visible()
-        page.evaluate("maxBytes = 5")
+        page.route("**/api/projects", lambda route: route.fulfill(json={"projects": [], "max_bytes": 5}))
+        with page.expect_response("**/api/projects"):
+            page.reload()
+        page.wait_for_function("import('/state.js').then(({ now }) => now.maxBytes === 5)")
         page.set_input_files("#file", tmp_path / "notes.mp4")
         page.wait_for_selector("text=Cut it first.")
         page.goto(f"{page.url.partition('#')[0]}#nothing-here")

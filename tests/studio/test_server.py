@@ -16,7 +16,9 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.files import write_json
 from flowsplat.studio import tasks
+from flowsplat.studio.choices import read_config
 from flowsplat.studio.options import StudioOptions
 from flowsplat.studio.server import StudioServer
 from tests.output.viewer.browser import free_port
@@ -208,6 +210,30 @@ def test_results_are_listed_and_downloaded(tmp_path, clip, finished):
         copy = page.do("POST", f"/api/projects/{name}/copy")
         assert (copy["state"], copy["name"], copy["fixed"]) == ("draft", clip.name, False)
         assert page.get(copy["clip"]) == clip.read_bytes()
+
+
+def test_the_video_without_what_moves_is_made_by_a_command(tmp_path, clip, finished, monkeypatch):
+    """Which is offered as long as it is not there, and where something moves."""
+    assert all(read_config(options) for _, options in tasks.RENDERINGS.values()), "flowsplat takes them"
+    monkeypatch.setattr(tasks, "PROGRAM", script("say(f'Videos: {out}/renders')"))
+    with serve(tmp_path / "studio") as page:
+        draft, name = page.send(clip)[1]["id"], finish(tmp_path / "studio", page, clip, finished)
+        run = tmp_path / "studio" / name / "run"
+        metrics = json.loads((run / "metrics.json").read_text())
+        write_json(run / "metrics.json", {**metrics, "objects": []})
+        assert page.get(f"/api/projects/{name}")["results"]["renderings"] == []
+        write_json(run / "metrics.json", metrics)
+        first, second = page.get(f"/api/projects/{name}")["results"]["renderings"]
+        assert first["command"].endswith("--render.paths input --render.parts background")
+        assert page.ask("POST", f"/api/projects/{name}/render", {"to": "nothing"})[0] == 400
+        assert page.ask("POST", f"/api/projects/{draft}/render", {"to": "background"})[0] == 400, "there is no scene yet"
+        page.do("POST", f"/api/projects/{name}/render", {"to": "background"})
+        page.wait(name, lambda each: not each["making"] and not each["waiting"])
+        assert f"$ {first['command']}\n" in (tmp_path / "studio" / name / "run.log").read_text()
+        files = json.loads((run / "renders" / "renders.json").read_text())
+        made = {"key": "x", "fps": 8.0, "frames": 1, "files": ["input_path_background.mp4"]}
+        write_json(run / "renders" / "renders.json", {**files, "input_path_background": made})
+        assert page.get(f"/api/projects/{name}")["results"]["renderings"] == [second]
 
 
 def test_an_export_that_is_a_folder_is_packed(tmp_path, clip, finished):

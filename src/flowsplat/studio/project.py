@@ -128,7 +128,13 @@ class Project:
             raise
 
     def save(self) -> None:
-        """Write the record."""
+        """Write the record.
+
+        Raises:
+            InputError: it cannot be written, or the folder was deleted: it is not made again.
+        """
+        if not self.folder.is_dir():
+            raise InputError(f"The folder of {self.name} was deleted.")
         write_json(self.folder / RECORD, self.record)
 
     @property

@@ -120,8 +120,8 @@ def read_last_lines(log: Path) -> list[str]:
 
 
 def read_orbits(log: Path) -> list[tuple[float, int | None]]:
-    """Return degrees to either side of every orbit that the runs of a log have made, in order, and how many percent of what it shows
-    there is a guess, as far as that was said."""
+    """Return degrees to either side of every orbit that the runs of a log have made, in order, and how many percent of what it
+    shows there is a guess, as far as that was said."""
     try:
         text = log.read_text(encoding="utf-8", errors="replace")
     except OSError:

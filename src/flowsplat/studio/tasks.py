@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.processes import read_start_time
@@ -26,7 +26,7 @@ from flowsplat.studio.standing import read_last_lines
 LINE_SECONDS = 2
 """Seconds between two lines of a process on how far it is. Chosen by eye."""
 KILL_SECONDS = 10.0
-"""Seconds in which a process that is killed has to be gone."""
+"""Seconds in which a process that is killed has to be gone: one that waits for a disk of the network may take long."""
 
 PROGRAM = (sys.executable, "-m", "flowsplat.cli")
 """What ``flowsplat`` is on a command line."""
@@ -103,7 +103,12 @@ class Tasks:
         project.record["end"] = None
         if what == "run":
             project.record["ran"] = project.choices
-        project.save()
+        try:
+            project.save()
+        except InputError:  # a later server would not find it
+            self.kill(project)
+            project.record["task"] = None
+            raise
 
     def is_alive(self, task: TaskFile) -> bool:
         """Return whether a process still works."""
@@ -118,26 +123,18 @@ class Tasks:
         if task is None or not self.is_alive(task):
             return
         task["stopping"] = True
-        project.save()
         with contextlib.suppress(OSError):
             os.kill(task["process"], signal.SIGTERM)
+        project.save()
 
-    def kill(self, project: Project) -> None:
-        """End it at once, with all that it has started.
-
-        Raises:
-            InputError: it does not end.
-        """
+    def kill(self, project: Project) -> Callable[[], bool]:
+        """End it at once, with all that it has started; returns what tells whether it has ended."""
         task = project.task
         if task is None or not self.is_alive(task):
-            return
+            return lambda: True
         with contextlib.suppress(OSError):
             os.killpg(task["process"], signal.SIGKILL)
-        ends = time.monotonic() + KILL_SECONDS
-        while self.is_alive(task):
-            if time.monotonic() > ends:
-                raise InputError("Its process does not end: try again.")
-            time.sleep(0.02)
+        return lambda: not self.is_alive(task)
 
     def end(self, project: Project) -> EndFile | None:
         """Note how the process of a project ended, once it has; None while it works, or where there is none."""
