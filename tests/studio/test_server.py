@@ -214,7 +214,7 @@ def test_results_are_listed_and_downloaded(tmp_path, clip, finished):
 
 def test_the_video_without_what_moves_is_made_by_a_command(tmp_path, clip, finished, monkeypatch):
     """Which is offered as long as it is not there, and where something moves."""
-    assert all(read_config(options) for _, options in tasks.RENDERINGS.values()), "flowsplat takes them"
+    assert all(read_config(each.options) for each in tasks.RENDERINGS.values()), "flowsplat takes them"
     monkeypatch.setattr(tasks, "PROGRAM", script("say(f'Videos: {out}/renders')"))
     with serve(tmp_path / "studio") as page:
         draft, name = page.send(clip)[1]["id"], finish(tmp_path / "studio", page, clip, finished)
@@ -222,7 +222,8 @@ def test_the_video_without_what_moves_is_made_by_a_command(tmp_path, clip, finis
         metrics = json.loads((run / "metrics.json").read_text())
         write_json(run / "metrics.json", {**metrics, "objects": []})
         assert page.get(f"/api/projects/{name}")["results"]["renderings"] == []
-        write_json(run / "metrics.json", metrics)
+        moving = {"depth": 1.0, "sigma": 0.1, "largest_step": 0.1, "cues": []}
+        write_json(run / "metrics.json", {**metrics, "objects": [moving]})
         first, second = page.get(f"/api/projects/{name}")["results"]["renderings"]
         assert first["command"].endswith("--render.paths input --render.parts background")
         assert page.ask("POST", f"/api/projects/{name}/render", {"to": "nothing"})[0] == 400

@@ -112,9 +112,9 @@ def _list_renderings(project: Project) -> Iterator[dict[str, str]]:
         files = list_rendered(project.run.renders_path)
     except InputError:
         return
-    for name, (title, _) in RENDERINGS.items():
+    for name, each in RENDERINGS.items():
         if moves and f"input_path_{name}" not in files:
-            yield {"name": name, "title": title, "command": command_line(project, f"render {name}")}
+            yield {"name": name, "title": each.title, "says": each.says, "command": command_line(project, f"render {name}")}
 
 
 def _list_exports(project: Project) -> Iterator[dict[str, Any]]:

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.processes import read_start_time
@@ -31,11 +32,31 @@ KILL_SECONDS = 10.0
 PROGRAM = (sys.executable, "-m", "flowsplat.cli")
 """What ``flowsplat`` is on a command line."""
 
+
+class Rendering(NamedTuple):
+    """A video that the page offers besides those of every run.
+
+    Attributes:
+        title: what it is called.
+        says: a sentence on it.
+        options: of ``flowsplat render``.
+    """
+
+    title: str
+    says: str
+    options: tuple[str, ...]
+
+
 RENDERINGS = {
-    "background": ("The video without what moves", ("--render.paths", "input", "--render.parts", "background")),
-    "objects": ("What moves alone, on transparent", ("--render.paths", "input", "--render.parts", "objects")),
-}
-"""Videos that the page offers besides those of every run: what they are called, and the options of ``flowsplat render``."""
+    "background": Rendering(
+        "The video without what moves", "What lies behind it is filled in where the video never shows it.",
+        ("--render.paths", "input", "--render.parts", "background"),
+    ),
+    "objects": Rendering(
+        "What moves alone", "On transparent, to lay over another video (WebM).",
+        ("--render.paths", "input", "--render.parts", "objects"),
+    ),
+}  # fmt: skip
 
 _INTERRUPTED = {130, 128 + signal.SIGTERM, -signal.SIGTERM, -signal.SIGINT}
 _CUT_OFF = "It was cut off before it was done: was the computer switched off? Go on, and it continues where it was."
@@ -58,7 +79,7 @@ def list_words(project: Project, what: str, run_options: Sequence[str] = ()) -> 
     if kind == "render":
         if name not in RENDERINGS:
             raise InputError(f"There is no video {name}.")
-        return ["flowsplat", "render", str(project.run.path), *RENDERINGS[name][1]]
+        return ["flowsplat", "render", str(project.run.path), *RENDERINGS[name].options]
     return ["flowsplat", "export", str(project.run.path), "--to", EXPORTERS.entry(name).name]
 
 

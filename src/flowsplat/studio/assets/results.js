@@ -69,7 +69,7 @@ function drawVideos(results) {
   $("videos-box").hidden = !results.videos.length;
   replace($("renderings"), results.renderings.map((each) => {
     const busy = isMaking(`render ${each.name}`);
-    return make("li", {}, make("span", { class: "about" }, each.title),
+    return make("li", {}, make("span", { class: "about" }, each.title, make("small", {}, each.says)),
       make("button", { type: "button", disabled: busy, onclick: () => act("video-error", "render", { to: each.name }) }, busy ? "Being made ..." : "Make it"),
       make("code", {}, each.command));
   }));

@@ -3,8 +3,8 @@
 import { chooseTool } from "./clicks.js";
 import { lookAt } from "./cut.js";
 import { $, say, show } from "./page.js";
-import "./scene.js";
 import { again, pause, setQuestion } from "./polling.js";
+import "./scene.js";
 import { ask } from "./server.js";
 import { list } from "./start.js";
 import { changed, now, whenChanged } from "./state.js";
@@ -58,7 +58,9 @@ async function refresh() {
       now.project.choices = choices; // what is being clicked is newer
       changed();
     } else await list();
-  } catch { /* it was said */ }
+  } catch (error) { // a studio that does not answer was told of above
+    if (mine === now.wanted && now.project && $("offline").hidden) say("scene-error", error.message);
+  }
   if (mine === now.wanted) again();
 }
 
