@@ -200,7 +200,7 @@ export async function drawMasks() {
     return;
   }
   $("busy").hidden = false;
-  const found = await attempt("moves-error", () => ask("POST", `/api/projects/${now.project.id}/masks/${frame}`, {}));
+  const found = await attempt("moves-error", () => ask("POST", `/api/projects/${now.project.id}/masks/${now.frame}`, {}));
   if (mine !== drawing) return;
   $("busy").hidden = true;
   $("mask").hidden = !found;
