@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -12,8 +14,13 @@ from pathlib import Path
 
 import pytest
 
-from flowsplat.studio import uploads
-from tests.studio.serving import Page, serve
+from flowsplat.common.errors import InputError
+from flowsplat.common.processes import read_start_time
+from flowsplat.studio import handlers, server, tasks, uploads
+from flowsplat.studio.options import StudioOptions
+from flowsplat.studio.project import Project
+from tests.output.viewer.browser import free_port
+from tests.studio.serving import Page, script, serve
 
 
 def files_of(page: Page, studio: Path) -> list[str]:
@@ -30,7 +37,7 @@ def is_empty(page: Page, studio: Path) -> bool:
     return not files_of(page, studio)
 
 
-ADDRESSES = ("/", "/studio.js", "/api/projects", "/api/projects/x", "/files/x/poster.jpg", "/nothing")
+ADDRESSES = ("/", "/studio.js", "/state.js", "/api/projects", "/api/projects/x", "/files/x/poster.jpg", "/nothing")
 
 
 @pytest.mark.parametrize(
@@ -268,6 +275,98 @@ def test_more_than_a_page_says_is_not_read(page, clip):
         status = 400
     assert status == 400
     assert page.get(f"/api/projects/{name}")["state"] == "draft"
+
+
+def test_what_is_too_long_to_say_is_shortened(page, clip):
+    name = page.send(clip)[1]["id"]
+    status, said, _ = page.ask("POST", f"/api/projects/{name}/export", {"to": "x" * 100_000})
+    assert status == 400
+    assert len(said["error"]) < 600
+
+
+def test_a_folder_that_is_deleted_under_a_run_ends_it_and_is_not_made_again(tmp_path, clip, monkeypatch):
+    monkeypatch.setattr(tasks, "PROGRAM", script("time.sleep(100)"))
+    studio = tmp_path / "studio"
+    with serve(studio) as page:
+        name = page.send(clip)[1]["id"]
+        choices = page.get(f"/api/projects/{name}")["choices"]
+        page.do("POST", f"/api/projects/{name}/run")
+        task = json.loads((studio / name / "studio.json").read_text())["task"]
+        shutil.rmtree(studio / name)
+        for method, what, body in (("PUT", "choices", choices), ("POST", "copy", {})):
+            status, said, _ = page.ask(method, f"/api/projects/{name}/{what}", body)
+            assert status in (400, 507)
+            assert str(tmp_path) not in said["error"]
+        end = time.monotonic() + 20
+        while read_start_time(task["process"]) == task["begun"] and time.monotonic() < end:
+            time.sleep(0.05)
+        assert read_start_time(task["process"]) != task["begun"]
+        assert page.get("/api/projects")["projects"] == []
+        assert is_empty(page, studio)
+
+
+def test_a_full_disk_loses_no_choice_and_ends_no_server(tmp_path, clip, monkeypatch):
+    """What is refused is not half done: a process whose record cannot be written is ended."""
+
+    def refuse(*_: object) -> None:
+        raise InputError("The disk is full.")
+
+    kill, killed = tasks.Tasks.kill, []
+
+    def note_kill(self: tasks.Tasks, project: Project) -> object:
+        killed.append(project.id)
+        return kill(self, project)
+
+    monkeypatch.setattr(tasks, "PROGRAM", script("time.sleep(100)"))
+    monkeypatch.setattr(tasks.Tasks, "kill", note_kill)
+    with serve(tmp_path / "studio") as page:
+        name = page.send(clip)[1]["id"]
+        choices = page.get(f"/api/projects/{name}")["choices"]
+        with monkeypatch.context() as full:
+            full.setattr(Project, "save", refuse)
+            assert page.ask("PUT", f"/api/projects/{name}/choices", {**choices, "preset": "high"})[0] == 400
+            assert page.get(f"/api/projects/{name}")["choices"] == choices
+            assert page.ask("POST", f"/api/projects/{name}/run")[1] == {"error": "The disk is full."}
+            end = time.monotonic() + 20
+            while not killed and time.monotonic() < end:
+                time.sleep(0.05)
+            assert killed == [name]
+            assert page.get(f"/api/projects/{name}")["state"] == "failed"
+        assert page.do("PUT", f"/api/projects/{name}/choices", choices)["id"] == name
+
+
+def test_a_process_that_does_not_end_keeps_nobody_waiting(tmp_path, clip, monkeypatch):
+    """Its scene is shown again after a while; all other questions are answered meanwhile."""
+    monkeypatch.setattr(handlers, "KILL_SECONDS", 1.0)
+    with serve(tmp_path / "studio") as page:
+        name = page.send(clip)[1]["id"]
+        monkeypatch.setattr(tasks.Tasks, "kill", lambda *_: lambda: False)
+        answers: list[tuple[int, object]] = []
+        asked = threading.Thread(target=lambda: answers.append(page.ask("DELETE", f"/api/projects/{name}")[:2]))
+        asked.start()
+        while page.get("/api/projects")["projects"]:
+            time.sleep(0.01)
+        assert not answers
+        asked.join()
+        assert answers == [(400, {"error": "Its process does not end: try again."})]
+        assert [each["id"] for each in page.get("/api/projects")["projects"]] == [name]
+
+
+@pytest.mark.parametrize("kind", ["file", "run", "shots", "below a file"])
+def test_what_is_no_folder_of_a_studio_is_a_sentence(tmp_path, kind):
+    place = tmp_path / "walk"
+    if kind in ("file", "below a file"):
+        place.write_bytes(b"x")
+    else:
+        place.mkdir()
+        (place / f"{kind}.json").write_text("{}")
+    named = place / "studio" if kind == "below a file" else place
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(InputError) as refused:
+        server.serve(named, StudioOptions(port=free_port(), open_browser=False))
+    assert str(named) in str(refused.value)
+    assert "-o" not in str(refused.value).split()
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_two_servers_do_not_share_a_folder(tmp_path):

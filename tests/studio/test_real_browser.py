@@ -215,8 +215,23 @@ def test_what_cannot_be_taken_is_said_beside_it(chromium, tmp_path):
         page.wait_for_selector("#start-error:not([hidden])")
         assert page.locator("#start-error").text_content().startswith("notes.mp4 is not a video file")
         assert page.locator("#drop").is_visible()
-        page.evaluate("maxBytes = 5")
+        page.route("**/api/projects", lambda route: route.fulfill(json={"projects": [], "max_bytes": 5}))
+        with page.expect_response("**/api/projects"):
+            page.reload()
+        page.wait_for_function("import('/state.js').then(({ now }) => now.maxBytes === 5)")
         page.set_input_files("#file", tmp_path / "notes.mp4")
         page.wait_for_selector("text=Cut it first.")
         page.goto(f"{page.url.partition('#')[0]}#nothing-here")
         page.wait_for_selector("text=There is no such scene")
+
+
+@pytest.mark.slow
+def test_a_scene_that_is_deleted_in_another_page_is_said_to_be_gone(chromium, tmp_path, clip):
+    with opened(Command(tmp_path / "studio"), chromium, DESKTOP) as page:
+        offer(page, clip)
+        other = page.context.new_page()
+        other.goto(page.url)
+        other.click("#delete")
+        other.click("#really")
+        page.wait_for_selector("#scene-error:not([hidden])")
+        assert page.locator("#scene-error").text_content() == "There is no such scene (any more)."

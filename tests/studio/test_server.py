@@ -16,7 +16,9 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.files import write_json
 from flowsplat.studio import tasks
+from flowsplat.studio.choices import read_config
 from flowsplat.studio.options import StudioOptions
 from flowsplat.studio.server import StudioServer
 from tests.output.viewer.browser import free_port
@@ -104,7 +106,7 @@ def test_a_run_goes_through_its_states_and_its_page_is_made(page, tmp_path, clip
     begun = page.do("POST", f"/api/projects/{name}/run")
     assert begun["state"] == "running"
     assert begun["standing"]["left"] > 0
-    found = page.wait(name, lambda each: each["state"] == "done" and not each["waiting"] and not each["exporting"])
+    found = page.wait(name, lambda each: each["state"] == "done" and not each["waiting"] and not each["making"])
     assert found["message"] == ""
     said = (tmp_path / "studio" / name / "run.log").read_text().splitlines()
     begun = [line for line in said if line.startswith("$ flowsplat ")]
@@ -210,12 +212,37 @@ def test_results_are_listed_and_downloaded(tmp_path, clip, finished):
         assert page.get(copy["clip"]) == clip.read_bytes()
 
 
+def test_the_video_without_what_moves_is_made_by_a_command(tmp_path, clip, finished, monkeypatch):
+    """Which is offered as long as it is not there, and where something moves."""
+    assert all(read_config(each.options) for each in tasks.RENDERINGS.values()), "flowsplat takes them"
+    monkeypatch.setattr(tasks, "PROGRAM", script("say(f'Videos: {out}/renders')"))
+    with serve(tmp_path / "studio") as page:
+        draft, name = page.send(clip)[1]["id"], finish(tmp_path / "studio", page, clip, finished)
+        run = tmp_path / "studio" / name / "run"
+        metrics = json.loads((run / "metrics.json").read_text())
+        write_json(run / "metrics.json", {**metrics, "objects": []})
+        assert page.get(f"/api/projects/{name}")["results"]["renderings"] == []
+        moving = {"depth": 1.0, "sigma": 0.1, "largest_step": 0.1, "cues": []}
+        write_json(run / "metrics.json", {**metrics, "objects": [moving]})
+        first, second = page.get(f"/api/projects/{name}")["results"]["renderings"]
+        assert first["command"].endswith("--render.paths input --render.parts background")
+        assert page.ask("POST", f"/api/projects/{name}/render", {"to": "nothing"})[0] == 400
+        assert page.ask("POST", f"/api/projects/{draft}/render", {"to": "background"})[0] == 400, "there is no scene yet"
+        page.do("POST", f"/api/projects/{name}/render", {"to": "background"})
+        page.wait(name, lambda each: not each["making"] and not each["waiting"])
+        assert f"$ {first['command']}\n" in (tmp_path / "studio" / name / "run.log").read_text()
+        files = json.loads((run / "renders" / "renders.json").read_text())
+        made = {"key": "x", "fps": 8.0, "frames": 1, "files": ["input_path_background.mp4"]}
+        write_json(run / "renders" / "renders.json", {**files, "input_path_background": made})
+        assert page.get(f"/api/projects/{name}")["results"]["renderings"] == [second]
+
+
 def test_an_export_that_is_a_folder_is_packed(tmp_path, clip, finished):
     with serve(tmp_path / "studio") as page:
         name = finish(tmp_path / "studio", page, clip, finished)
         assert page.ask("GET", f"/pack/{name}/colmap")[0] == 400
         page.do("POST", f"/api/projects/{name}/export", {"to": "colmap"})
-        ready = page.wait(name, lambda each: not each["exporting"] and not each["waiting"], 120)
+        ready = page.wait(name, lambda each: not each["making"] and not each["waiting"], 120)
         (link,) = (each["link"] for each in ready["results"]["exports"] if each["name"] == "colmap")
         status, _, headers = page.ask("GET", link)
         assert status == 302

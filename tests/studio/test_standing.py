@@ -58,6 +58,20 @@ def test_a_stage_that_takes_much_longer_is_not_said_to_end_soon(tmp_path):
     assert soon.seconds_left == pytest.approx(80 + 2, abs=0.5), "and a stage that takes longer is never said to be over"
 
 
+def test_a_scene_that_is_made_again_is_not_late(tmp_path):
+    """Its record is still that of the whole run when it begins: the last stage works then, and again much later."""
+    run, log, reader = record(tmp_path / "run", "prepare", "train"), tmp_path / "run.log", StandingReader()
+    since = time.time() - 600
+    assert reader.read(run, log, since, EXPECTED).stage == "rest"
+    reader._stage = (reader._stage[0], since, since)
+    assert reader.read(run, log, since, EXPECTED).is_late
+    record(run.path)
+    assert reader.read(run, log, since, EXPECTED).stage == "cameras"
+    record(run.path, "prepare", "train")
+    last = reader.read(run, log, since, EXPECTED)
+    assert (last.stage, last.is_late) == ("rest", False)
+
+
 @pytest.mark.parametrize(
     "line", ["", "Training", "a: b of c", "x: 1 of 0", "x: 9 of 3", ": 1 of 2", "x: 1e9 of 1e-9", "é" * 9999, "\x00"]
 )
@@ -89,5 +103,5 @@ def test_orbits_of_all_runs_are_found_in_order(tmp_path):
     log = tmp_path / "run.log"
     text = "Orbit: 3 degrees to either side; 4% of what it shows there is a guess.\nSwinging camera: 9 degrees to either side.\n"
     log.write_text(f"{text}Orbit: 7.5 degrees to either side\nOrbit: . degrees to either side\nOrbit: ... degrees to either side\n")
-    assert read_orbits(log) == [3.0, 7.5]
+    assert read_orbits(log) == [(3.0, 4), (7.5, None)]
     assert read_orbits(tmp_path / "none") == []

@@ -7,6 +7,7 @@ import base64
 import mimetypes
 import os
 import re
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from http import HTTPStatus
@@ -27,6 +28,7 @@ from flowsplat.studio.clips import FRAME_QUALITY, Looks, OpenClip, check_clip, d
 from flowsplat.studio.project import Project
 from flowsplat.studio.results import SERVED, pack_folder
 from flowsplat.studio.studio import Studio, delete
+from flowsplat.studio.tasks import KILL_SECONDS
 from flowsplat.studio.uploads import Refusal, Upload
 
 T = TypeVar("T")
@@ -37,6 +39,8 @@ SHEET = "filming.html"
 MAX_BODY_BYTES = 1_000_000
 """Of what the page says, clips excepted. A round number."""
 
+MAX_SENTENCE_LENGTH = 500
+"""Characters of what the page says at a time. Chosen by eye."""
 COLORS = 12
 """Of objects, that the page knows. Chosen by eye."""
 
@@ -51,6 +55,11 @@ _FILE_POLICY = "sandbox; default-src 'none'; img-src 'self'; media-src 'self'; s
 
 _VIDEO_TYPES = {".mp4": "video/mp4", ".m4v": "video/mp4", ".mov": "video/mp4", ".webm": "video/webm", ".mkv": "video/x-matroska"}
 """QuickTime's files are those of MP4 in another coat, and browsers play them under that name."""
+
+
+def shorten(text: str) -> str:
+    """Return the beginning of a sentence that is too long for the page: what was sent may stand in it."""
+    return text if len(text) <= MAX_SENTENCE_LENGTH else f"{text[:MAX_SENTENCE_LENGTH]} ..."
 
 
 class _Headers:
@@ -95,9 +104,9 @@ class Handler(web.RequestHandler):
         """The guard has asked for the page's own origin instead."""
 
     def refuse(self, status: int, message: str) -> None:
-        """Answer with a sentence."""
+        """Answer with a sentence, which names files as they lie in the studio."""
         self.set_status(status)
-        self.answer({"error": one_line(message)})
+        self.answer({"error": shorten(one_line(message).replace(f"{self.studio.folder}{os.sep}", ""))})
 
     def answer(self, value: Any) -> None:
         """Answer with JSON."""
@@ -113,12 +122,16 @@ class Handler(web.RequestHandler):
             self.refuse(HTTPStatus.BAD_REQUEST, str(error))
         elif isinstance(error, web.HTTPError):
             self.refuse(status_code, f"{self._reason}.")
+        elif isinstance(error, OSError):
+            self.refuse(
+                HTTPStatus.INSUFFICIENT_STORAGE, f"The studio's folder cannot be read or written: {error.strerror or error}."
+            )
         else:
             self.refuse(HTTPStatus.INTERNAL_SERVER_ERROR, f"That did not work here ({type(error).__name__}).")
 
     def log_exception(self, *about: Any) -> None:
         """Only what nobody has foreseen is for the terminal."""
-        if not isinstance(about[1], InputError | web.HTTPError):
+        if not isinstance(about[1], InputError | web.HTTPError | OSError):
             super().log_exception(*about)
 
     def body(self) -> Any:
@@ -240,8 +253,15 @@ class ProjectHandler(Handler):
 
     async def delete(self, name: str) -> None:
         """Delete it with all that belongs to it."""
-        folder = self.studio.remove(self.studio.project(name))
-        await self.aside(delete, folder)
+        project = self.studio.project(name)
+        gone = self.studio.remove(project)
+        ends = time.monotonic() + KILL_SECONDS
+        while not gone():
+            if time.monotonic() > ends:
+                self.studio.add(project)
+                raise InputError("Its process does not end: try again.")
+            await asyncio.sleep(0.05)
+        await self.aside(delete, project.folder)
         self.answer({})
 
 
@@ -334,7 +354,8 @@ class ActionHandler(ClipReader):
             project = self.studio.copy(project)
         else:
             value = self.body()
-            self.studio.ask_export(project, str(value.get("to")) if isinstance(value, dict) else "")
+            wanted = str(value.get("to")) if isinstance(value, dict) else ""
+            (self.studio.ask_export if action == "export" else self.studio.ask_render)(project, wanted)
         self.studio.advance()
         self.answer(self.studio.describe(project))
 
@@ -407,8 +428,10 @@ class NothingHandler(Handler):
 
 
 _ID = r"([a-z0-9][a-z0-9-]{0,62})"
+PAGE_FILES = sorted(path.name for path in ASSETS.iterdir() if path.suffix in (".css", ".js") or path.name == "filming.html")
+"""What the start page needs, and the sheet on filming."""
 ROUTES: list[tuple[str, type[Handler]]] = [
-    (r"/(|studio\.css|studio\.js|filming\.html)", PageHandler),
+    (rf"/(|{'|'.join(re.escape(name) for name in PAGE_FILES)})", PageHandler),
     (r"/api/projects", ListHandler),
     (r"/api/clips", ClipHandler),
     (rf"/api/projects/{_ID}", ProjectHandler),
@@ -416,7 +439,7 @@ ROUTES: list[tuple[str, type[Handler]]] = [
     (rf"/api/projects/{_ID}/look", LookHandler),
     (rf"/api/projects/{_ID}/frames/(\d{{1,5}})", FrameHandler),
     (rf"/api/projects/{_ID}/masks/(\d{{1,5}})", MasksHandler),
-    (rf"/api/projects/{_ID}/(run|stop|copy|export)", ActionHandler),
+    (rf"/api/projects/{_ID}/(run|stop|copy|export|render)", ActionHandler),
     (rf"/files/{_ID}/(.+)", FileHandler),
     (rf"/pack/{_ID}/([a-z0-9_-]{{1,40}})", PackHandler),
 ]

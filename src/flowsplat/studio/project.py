@@ -128,7 +128,13 @@ class Project:
             raise
 
     def save(self) -> None:
-        """Write the record."""
+        """Write the record.
+
+        Raises:
+            InputError: it cannot be written, or the folder was deleted: it is not made again.
+        """
+        if not self.folder.is_dir():
+            raise InputError(f"The folder of {self.name} was deleted.")
         write_json(self.folder / RECORD, self.record)
 
     @property
@@ -169,7 +175,7 @@ class Project:
 
     @property
     def waiting(self) -> list[str]:
-        """What is to be done with it, in order: ``run``, or ``export FORMAT``."""
+        """What is to be done with it, in order: ``run``, ``export FORMAT`` or ``render VIDEO``."""
         found: list[str] = self.record["waiting"]
         return found
 

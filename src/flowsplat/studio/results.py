@@ -19,7 +19,7 @@ from flowsplat.pipeline.folder import MetricsFile
 from flowsplat.scenes import Scene
 from flowsplat.studio.project import Project
 from flowsplat.studio.standing import SAYS, StandingReader, read_orbits
-from flowsplat.studio.tasks import command_line
+from flowsplat.studio.tasks import RENDERINGS, command_line
 
 PAGE = "html"
 """The export that plays a scene."""
@@ -60,7 +60,7 @@ def describe(project: Project, standings: StandingReader, run_options: Sequence[
         **summarize(project), "choices": project.choices, "clip": _link(project, project.clip),
         "fixed": project.is_cut_fixed, "changed": project.is_cut_fixed and project.record.get("ran") != project.choices,
         "command": command_line(project, "run", run_options), "message": "", "standing": None, "preview": None,
-        "exporting": None, "waiting": project.waiting,
+        "making": None, "waiting": project.waiting,
     }  # fmt: skip
     if end is not None and end["state"] == "failed":
         found["message"], found["failed"] = end["message"], end["what"]
@@ -71,7 +71,7 @@ def describe(project: Project, standings: StandingReader, run_options: Sequence[
             "late": standing.is_late,
         }  # fmt: skip
     elif task is not None:
-        found["exporting"] = task["what"].removeprefix("export ")
+        found["making"] = task["what"]
     if state in ("running", "stopping", "stopped", "failed"):
         found["preview"] = _link(project, project.run.preview_path)
     if project.run.report_path.exists():
@@ -81,12 +81,13 @@ def describe(project: Project, standings: StandingReader, run_options: Sequence[
 
 def _describe_results(project: Project) -> dict[str, Any]:
     run = project.run
-    orbits = read_orbits(project.log)
+    page = run.path / "export" / EXPORTERS[PAGE].default_name
     return {
-        "page": _link(project, run.path / "export" / EXPORTERS[PAGE].default_name), "report": _link(project, run.report_path),
+        "page": _link(project, page), "page_bytes": _size(page), "report": _link(project, run.report_path),
+        "renderings": list(_list_renderings(project)),
         "priors": _link(project, run.priors_report_path), "videos": list(_list_videos(project)),
         "exports": list(_list_exports(project)), "hints": list(_list_hints(project)),
-        "orbit": {"now": orbits[-1], "before": orbits[-2] if len(orbits) > 1 else None} if orbits else None,
+        "orbit": _describe_orbits(orbits) if (orbits := read_orbits(project.log)) else None,
     }  # fmt: skip
 
 
@@ -102,6 +103,18 @@ def _list_videos(project: Project) -> Iterator[dict[str, str | None]]:
         link = _link(project, project.run.renders_path / files[name])
         if link is not None:
             yield {"title": f"{title}{beside}", "link": link, "file": files[name]}
+
+
+def _list_renderings(project: Project) -> Iterator[dict[str, str]]:
+    """Yield the videos that can be made besides those that are there; they are of what moves, so none where nothing does."""
+    try:
+        moves = bool(read_json(project.run.metrics_path, MetricsFile).get("objects"))
+        files = list_rendered(project.run.renders_path)
+    except InputError:
+        return
+    for name, each in RENDERINGS.items():
+        if moves and f"input_path_{name}" not in files:
+            yield {"name": name, "title": each.title, "says": each.says, "command": command_line(project, f"render {name}")}
 
 
 def _list_exports(project: Project) -> Iterator[dict[str, Any]]:
@@ -157,6 +170,19 @@ def forget_exports(project: Project) -> None:
     """Delete the exports of a scene that is about to become another one."""
     for folder in (project.run.path / "export", project.folder / "downloads"):
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _describe_orbits(orbits: Sequence[tuple[float, int | None]]) -> dict[str, float | None]:
+    degrees, guess = orbits[-1]
+    return {"now": degrees, "guess": guess, "before": orbits[-2][0] if len(orbits) > 1 else None}
+
+
+def _size(path: Path) -> int:
+    """Return bytes of a file, 0 where it is not there."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
 
 
 def _link(project: Project, path: Path) -> str | None:

@@ -18,6 +18,7 @@ from flowsplat.common.errors import InputError, describe_install
 from flowsplat.common.files import lease, make_folder, read_text
 from flowsplat.common.files.writing import make_writing_error
 from flowsplat.common.progress import report
+from flowsplat.common.run_paths import RunPaths
 from flowsplat.output.viewer.guard import Guard, check_address, is_local
 from flowsplat.studio.choices import split_options
 from flowsplat.studio.options import StudioOptions
@@ -132,11 +133,11 @@ def serve(folder: Path, options: StudioOptions) -> None:
         folder: of the studio; it is made.
 
     Raises:
-        InputError: see ``StudioServer``, or another server has the folder.
+        InputError: see ``StudioServer``, the folder cannot be that of a studio, or another server has it.
     """
     check_serving(options)
     split_options(options.run_options)
-    make_folder(folder)
+    _make_studio(folder)
     with lease(folder):
         server = StudioServer(folder, options)
         try:
@@ -150,6 +151,23 @@ def serve(folder: Path, options: StudioOptions) -> None:
             report("The studio is stopped. What runs goes on; the same command shows it again.")
         finally:
             server.stop()
+
+
+def _make_studio(folder: Path) -> None:
+    """Make the folder of a studio, unless it is there.
+
+    Raises:
+        InputError: it is something else, or cannot be made or written.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file: flowsplat studio takes the folder where scenes are kept; drop the file on its page.")
+    paths = RunPaths(folder)
+    if paths.record_path.exists() or paths.shots_record_path.exists():
+        raise InputError(f"{folder} is the folder of a run, not of a studio: flowsplat view shows it.")
+    try:
+        make_folder(folder)
+    except InputError as error:
+        raise InputError(f"The folder of the studio {folder} cannot be made or written: name another one.") from error
 
 
 def _has_screen() -> bool:

@@ -30,7 +30,7 @@ LATE_FACTOR, LATE_SECONDS = 1.8, 10.0
 ``pipeline.speed`` leaves open before anything was measured."""
 
 _BAR = re.compile(r"(?P<label>[^:]{1,80}): (?P<done>[0-9.e+]{1,12}) of (?P<total>[0-9.e+]{1,12})(?P<rest>,.*|\s.*|)")
-_ORBIT = re.compile(r"Orbit: ([0-9]{1,4}(?:\.[0-9]{1,4})?) degrees to either side")
+_ORBIT = re.compile(r"Orbit: ([0-9]{1,4}(?:\.[0-9]{1,4})?) degrees to either side(?:.{0,40}; ([0-9]{1,3})% of what it shows)?")
 
 
 @dataclass(frozen=True)
@@ -53,10 +53,10 @@ class Standing:
 
 
 class StandingReader:
-    """Follows one run: when its stages began, it remembers."""
+    """Follows one run: when the stage that works began, it remembers."""
 
     def __init__(self) -> None:
-        self._begun: dict[tuple[str, float], float] = {}
+        self._stage = ("", 0.0, 0.0)
 
     def read(self, run: RunPaths, log: Path, since: float, expected: Mapping[str, float]) -> Standing:
         """Return how far the run is that a process works on since ``since`` (``time.time()``).
@@ -66,7 +66,10 @@ class StandingReader:
         """
         stage, lines = _find_stage(run, since), read_last_lines(log)
         line = lines[-1] if lines else "Starting"
-        began = self._begun.setdefault((stage, since), since if stage == STAGES[0] else time.time())
+        # A run that is made anew with other clicks begins with the record of the whole one: stages may go back.
+        if self._stage[:2] != (stage, since):
+            self._stage = stage, since, since if stage == STAGES[0] else time.time()
+        began = self._stage[2]
         if not expected:
             return Standing(stage, line, None, None)
         times = {name: expected.get(name, 0.0) for name in STAGES}
@@ -116,10 +119,11 @@ def read_last_lines(log: Path) -> list[str]:
     return lines[starts[-1] + 1 :] if starts else lines
 
 
-def read_orbits(log: Path) -> list[float]:
-    """Return degrees to either side of every orbit that the runs of a log have made, in order."""
+def read_orbits(log: Path) -> list[tuple[float, int | None]]:
+    """Return degrees to either side of every orbit that the runs of a log have made, in order, and how many percent of what it
+    shows there is a guess, as far as that was said."""
     try:
         text = read_bytes(log).decode(errors="replace")
     except InputError:
         return []
-    return [float(found) for found in _ORBIT.findall(text)]
+    return [(float(degrees), int(guess) if guess else None) for degrees, guess in _ORBIT.findall(text)]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from flowsplat.studio.choices import Choices, keep_marks
 from flowsplat.studio.clips import Clips
 from flowsplat.studio.project import RECORD, Project, list_projects
 from flowsplat.studio.standing import StandingReader
-from flowsplat.studio.tasks import Tasks
+from flowsplat.studio.tasks import RENDERINGS, Tasks
 from flowsplat.studio.uploads import Uploads
 
 SAME_MOMENT_SECONDS = 0.002
@@ -40,6 +41,9 @@ class Studio:
     def advance(self) -> None:
         """Note what has ended, begin what is due, and give up clips that no longer come. To be called again and again."""
         for project in list(self.projects.values()):
+            if not project.folder.is_dir():  # somebody has deleted it
+                self.remove(project)
+                continue
             try:
                 self._note_end(project)
             except InputError as error:
@@ -53,7 +57,8 @@ class Studio:
                 self._begin(project, what)
             except InputError as error:
                 project.record["end"] = {"what": what, "state": "failed", "message": str(error)}
-                project.save()
+                with suppress(InputError):  # a full disk must not end the server
+                    project.save()
         for upload in [upload for upload in self.uploads.under_way if upload.is_silent]:
             upload.close()
 
@@ -114,8 +119,12 @@ class Studio:
         fixed = ("start", "end", "preset")
         if project.is_cut_fixed and any(choices[name] != project.choices[name] for name in fixed):  # type: ignore[literal-required]
             raise InputError("The cut and the quality of a scene that was begun stay as they are: make another version of it.")
-        project.record["choices"] = choices
-        project.save()
+        before, project.record["choices"] = project.choices, choices
+        try:
+            project.save()
+        except InputError:
+            project.record["choices"] = before
+            raise
 
     def fit_marks(self, project: Project, seconds: dict[int, float]) -> int:
         """Put the places that were clicked on the frames that the cut has now; how many are on none and had to go."""
@@ -147,6 +156,18 @@ class Studio:
             raise InputError("There is no finished scene yet.")
         self._ask(project, f"export {entry.name}")
 
+    def ask_render(self, project: Project, name: str) -> None:
+        """Render one of the videos of ``tasks.RENDERINGS``.
+
+        Raises:
+            InputError: there is no such video, or no scene yet.
+        """
+        if name not in RENDERINGS:
+            raise InputError("There is no such video.")
+        if results.state_of(project) != "done":
+            raise InputError("There is no finished scene yet.")
+        self._ask(project, f"render {name}")
+
     def stop(self, project: Project) -> None:
         """Let a run stop, or wait no longer for its turn."""
         if "run" in project.waiting:
@@ -160,18 +181,18 @@ class Studio:
         self.add(found)
         return found
 
-    def remove(self, project: Project) -> Path:
-        """End what works on a project and show it no longer; the folder that is to be deleted (``delete``).
+    def remove(self, project: Project) -> Callable[[], bool]:
+        """Kill what works on a project and show it no longer.
 
-        Raises:
-            InputError: its process does not end.
+        Returns:
+            what tells whether it has ended: then its folder can be deleted (``delete``).
         """
         project.record["waiting"] = []
-        self.tasks.kill(project)
+        ended = self.tasks.kill(project)
         self.clips.forget(project.clip)
         self.projects.pop(project.id)
         self._standings.pop(project.id, None)
-        return project.folder
+        return ended
 
 
 def delete(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Start, stop and find the processes that do the work: ``flowsplat run`` and ``flowsplat export`` as anybody would type them.
+"""Start, stop and find the processes that do the work: ``flowsplat run``, ``export`` and ``render`` as anybody would type them.
 
 Each has a session of its own and writes into the project's log, so it goes on without the server. One that is started later finds
 it by its number and the time at which the system says that it began.
@@ -13,7 +13,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import ordinary_file
@@ -27,10 +28,36 @@ from flowsplat.studio.standing import read_last_lines
 LINE_SECONDS = 2
 """Seconds between two lines of a process on how far it is. Chosen by eye."""
 KILL_SECONDS = 10.0
-"""Seconds in which a process that is killed has to be gone."""
+"""Seconds in which a process that is killed has to be gone: one that waits for a disk of the network may take long."""
 
 PROGRAM = (sys.executable, "-m", "flowsplat.cli")
 """What ``flowsplat`` is on a command line."""
+
+
+class Rendering(NamedTuple):
+    """A video that the page offers besides those of every run.
+
+    Attributes:
+        title: what it is called.
+        says: a sentence on it.
+        options: of ``flowsplat render``.
+    """
+
+    title: str
+    says: str
+    options: tuple[str, ...]
+
+
+RENDERINGS = {
+    "background": Rendering(
+        "The video without what moves", "What lies behind it is filled in where the video never shows it.",
+        ("--render.paths", "input", "--render.parts", "background"),
+    ),
+    "objects": Rendering(
+        "What moves alone", "On transparent, to lay over another video (WebM).",
+        ("--render.paths", "input", "--render.parts", "objects"),
+    ),
+}  # fmt: skip
 
 _INTERRUPTED = {130, 128 + signal.SIGTERM, -signal.SIGTERM, -signal.SIGINT}
 _CUT_OFF = "It was cut off before it was done: was the computer switched off? Go on, and it continues where it was."
@@ -40,17 +67,21 @@ def list_words(project: Project, what: str, run_options: Sequence[str] = ()) -> 
     """Return the words of the command line, from ``flowsplat`` on.
 
     Args:
-        what: ``run``, or ``export FORMAT``.
+        what: ``run``, ``export FORMAT``, or ``render`` with one of ``RENDERINGS``.
 
     Raises:
-        InputError: there is no such format.
+        InputError: there is no such format, or no such video.
     """
     if what == "run":
         # The page shows one scene: the cut is chosen on it.
         places = [str(project.clip), "-o", str(project.run.path), "--shots", "off"]
         return ["flowsplat", "run", *places, *list_arguments(project.choices, run_options)]
-    to = what.removeprefix("export ")
-    return ["flowsplat", "export", str(project.run.path), "--to", EXPORTERS.entry(to).name]
+    kind, _, name = what.partition(" ")
+    if kind == "render":
+        if name not in RENDERINGS:
+            raise InputError(f"There is no video {name}.")
+        return ["flowsplat", "render", str(project.run.path), *RENDERINGS[name].options]
+    return ["flowsplat", "export", str(project.run.path), "--to", EXPORTERS.entry(name).name]
 
 
 def command_line(project: Project, what: str, run_options: Sequence[str] = ()) -> str:
@@ -96,7 +127,12 @@ class Tasks:
         project.record["end"] = None
         if what == "run":
             project.record["ran"] = project.choices
-        project.save()
+        try:
+            project.save()
+        except InputError:  # a later server would not find it
+            self.kill(project)
+            project.record["task"] = None
+            raise
 
     def is_alive(self, task: TaskFile) -> bool:
         """Return whether a process still works."""
@@ -111,26 +147,18 @@ class Tasks:
         if task is None or not self.is_alive(task):
             return
         task["stopping"] = True
-        project.save()
         with contextlib.suppress(OSError):
             os.kill(task["process"], signal.SIGTERM)
+        project.save()
 
-    def kill(self, project: Project) -> None:
-        """End it at once, with all that it has started.
-
-        Raises:
-            InputError: it does not end.
-        """
+    def kill(self, project: Project) -> Callable[[], bool]:
+        """End it at once, with all that it has started; returns what tells whether it has ended."""
         task = project.task
         if task is None or not self.is_alive(task):
-            return
+            return lambda: True
         with contextlib.suppress(OSError):
             os.killpg(task["process"], signal.SIGKILL)
-        ends = time.monotonic() + KILL_SECONDS
-        while self.is_alive(task):
-            if time.monotonic() > ends:
-                raise InputError("Its process does not end: try again.")
-            time.sleep(0.02)
+        return lambda: not self.is_alive(task)
 
     def end(self, project: Project) -> EndFile | None:
         """Note how the process of a project ended, once it has; None while it works, or where there is none."""
@@ -163,4 +191,4 @@ def _judge(project: Project, task: TaskFile, code: int | None) -> EndFile:
 def _says_done(project: Project, what: str, lines: Sequence[str]) -> bool:
     if what == "run":  # pipeline.summary.next_steps, the last that a whole run says
         return any(line.endswith(str(project.run.report_path)) for line in lines[-4:])
-    return any(line.startswith("Written: ") for line in lines[-2:])
+    return any(line.startswith(("Written: ", "Videos: ")) for line in lines[-2:])
