@@ -428,7 +428,7 @@ class NothingHandler(Handler):
 
 
 _ID = r"([a-z0-9][a-z0-9-]{0,62})"
-PAGE_FILES = sorted(path.name for path in ASSETS.iterdir() if path.suffix in (".css", ".js") or path.name == "filming.html")
+PAGE_FILES = sorted(path.name for path in ASSETS.iterdir() if path.suffix in (".css", ".js") or path.name == SHEET)
 """What the start page needs, and the sheet on filming."""
 ROUTES: list[tuple[str, type[Handler]]] = [
     (rf"/(|{'|'.join(re.escape(name) for name in PAGE_FILES)})", PageHandler),
