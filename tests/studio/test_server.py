@@ -27,7 +27,8 @@ from tests.studio.serving import FRAMES, SIZE, Page, mark, script, serve
 DONE = "out.mkdir(exist_ok=True)\n(out / 'report.html').write_text('')\nsay(f'  its report:      {out}/report.html')\n"
 REFUSED = "say(json.dumps(['flowsplat', *arguments]))\nsay('Error: that was all.')\nsys.exit(2)\n"
 LONG = (
-    "signal.signal(signal.SIGTERM, lambda *_: (say('Stopped. The same command continues from here.'), sys.exit(143)))\n"
+    "stopped = 'Stopped. The same command continues from here.'\n"
+    "signal.signal(signal.SIGTERM, lambda *_: (time.sleep(.3), say(stopped), sys.exit(143)))\n"
     "out.mkdir(exist_ok=True)\n(out / 'run.json').write_text('{}')\nsay('Training: 3 of 10')\ntime.sleep(100)\n"
 )
 
