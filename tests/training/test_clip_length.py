@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from flowsplat.training.clip_length import FULL_FRAMES, MAX_GAINS, adapt_to_length
+from flowsplat.training.clip_length import FULL_FRAMES, adapt_to_length
 from flowsplat.training.config import PRESETS, RatesConfig, TrainConfig
 from flowsplat.training.schedule import LearningRates
 from tests.training.handful import a_few, tiny
@@ -31,8 +31,10 @@ def test_a_long_clip_is_trained_as_finely_in_its_seconds():
     assert long.density.prune_after == 3 * config.density.prune_after
     assert (long.model.gains, long.model.knots, long.rates.time_factor) == (3 * config.model.gains, 3 * config.model.knots, 3)
     assert replace(long, iterations=config.iterations, density=config.density, model=config.model, rates=config.rates) == config
-    assert adapt_to_length(config, 10_000).model.gains == MAX_GAINS
     long.check()
+    longest = adapt_to_length(replace(config, model=replace(config.model, knots=500)), 10_000)
+    assert (longest.model.gains, longest.model.knots) == (256, 1000)
+    longest.check()
 
 
 def test_motion_learns_as_fast_in_seconds():

@@ -161,8 +161,7 @@ def _make_studio(folder: Path) -> None:
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is a file: flowsplat studio takes the folder where scenes are kept; drop the file on its page.")
-    paths = RunPaths(folder)
-    if paths.record_path.exists() or paths.shots_record_path.exists():
+    if RunPaths(folder).holds_run:
         raise InputError(f"{folder} is the folder of a run, not of a studio: flowsplat view shows it.")
     try:
         make_folder(folder)

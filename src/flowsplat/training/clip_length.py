@@ -3,15 +3,16 @@ one's."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
+from flowsplat.common.bounds import bounds_of
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.training.config import TrainConfig
 
 FULL_FRAMES = 100
 """Frames of a clip, those held out among them, up to which the settings of a training are taken as they are: as many as a clip is
 thinned to by default."""
-MAX_GAINS = 256
-"""Cosines of the brightness in time, at most: as many as ``model.gains`` may be."""
 
 
 def adapt_to_length(config: TrainConfig, frames: int) -> TrainConfig:
@@ -28,6 +29,11 @@ def adapt_to_length(config: TrainConfig, frames: int) -> TrainConfig:
     def longer(steps: int) -> int:
         return round(factor * steps)
 
+    def more(name: str) -> int:
+        """As many times as many of something of the model, or as many as it may have."""
+        return int(min(longer(getattr(config.model, name)), most[name].le or math.inf))
+
+    most = bounds_of(ModelConfig)
     density, model = config.density, config.model
     return replace(
         config,
@@ -36,8 +42,6 @@ def adapt_to_length(config: TrainConfig, frames: int) -> TrainConfig:
             density, every=longer(density.every), start=longer(density.start), reset_every=longer(density.reset_every),
             prune_after=longer(density.prune_after),
         ),
-        model=replace(
-            model, gains=min(longer(model.gains), MAX_GAINS), knots=longer(model.knots), fourier_base=factor * model.fourier_base
-        ),
+        model=replace(model, gains=more("gains"), knots=more("knots"), fourier_base=factor * model.fourier_base),
         rates=replace(config.rates, time_factor=factor * config.rates.time_factor),
     )  # fmt: skip
