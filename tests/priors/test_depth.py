@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 
 from flowsplat.common.threads import set_thread_count, thread_count
 from flowsplat.geometry import Similarity
+from flowsplat.priors.background import refined
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.depth import depth_stage
 from flowsplat.priors.flow import flow_stage
@@ -92,3 +95,30 @@ def test_a_tripod_gets_a_guess_that_says_so(tmp_path: Path):
     assert (np.diff(result.depth.mean(1)) <= 1e-6).all()
     assert result.depth.shape == (HEIGHT, WIDTH)
     assert np.median(result.depth) == pytest.approx(1, rel=0.1)
+
+
+def test_a_long_clip_refines_every_frame_once_a_round(monkeypatch):
+    """Frames ask for others far before and after them: what is kept of these must reach, however long the clip is."""
+    asked: list[tuple[int, bool]] = []
+
+    class Edges:
+        def __init__(self, *_: object): ...
+
+        def __call__(self, k: int, inverse: np.ndarray, doubted: np.ndarray | None) -> np.ndarray:
+            asked.append((k, doubted is not None))
+            return inverse
+
+    monkeypatch.setattr(refined, "EdgeRefiner", Edges)
+    monkeypatch.setattr(refined, "vote_on_depth", lambda inverse, *_: (inverse, np.ones_like(inverse)))
+    plain = np.ones((HEIGHT, WIDTH), np.float32)
+    monkeypatch.setattr(refined.RefinedDepth, "_coarse", lambda self, k: (plain, plain, plain))
+    monkeypatch.setattr(refined.RefinedDepth, "_camera", lambda self, k: None)
+    continuity = SimpleNamespace(same_piece=lambda k, j: True)
+    scene = SimpleNamespace(width=WIDTH, height=HEIGHT)
+    clip = MagicMock(scene=scene, has_parallax=True, continuity=continuity, __len__=lambda self: 150)
+    depth = refined.RefinedDepth(clip, MagicMock(), has_masks=False)
+    done = []
+    for work in depth.walk(lambda k: done.append(depth(k)), range(150)):
+        work()
+    assert len(done) == 150
+    assert sorted(asked) == sorted((k, later) for k in range(150) for later in (False, True))

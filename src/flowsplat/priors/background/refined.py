@@ -42,10 +42,11 @@ class RefinedDepth:
         depth: Callable[[int], Planes] = self._coarse
         self._rounds: list[Callable[[int], Planes]] = []
         for n in range(REFINEMENT_ROUNDS if clip.has_parallax else 0):
-            # The first frame of a later round asks for frames ahead that ask for frames ahead of theirs.
-            kept = 2 * (REFINEMENT_ROUNDS - n) * VOTING_OFFSETS[-1] + 4
+            # The first frame of a later round asks for frames ahead that ask for frames ahead of theirs. A frame is last asked for
+            # by one that comes long after the one that asked before it: what others asked for in between must not push it out.
+            kept = (2 * (REFINEMENT_ROUNDS - n) + 1) * VOTING_OFFSETS[-1] + 4
             self._rounds.append(compute_once(self._sharpen(depth, first=n == 0), kept))
-            depth = compute_once(self._vote(self._rounds[n]), kept)
+            depth = self._vote(self._rounds[n])  # Asked for once, by the next round or by the caller: not kept.
         self._depth = depth
 
     def __call__(self, k: int) -> Planes:

@@ -111,6 +111,26 @@ def robust_cost(
     return total
 
 
+@helper
+def _ends_of_runs(first: np.ndarray, frame_of: np.ndarray) -> np.ndarray:
+    """For each observation [M], the one after the last of its point that follow it in consecutive frames."""
+    ends = np.arange(1, len(frame_of) + 1)
+    for n in range(len(first) - 1):
+        for m in range(first[n + 1] - 2, first[n] - 1, -1):
+            if frame_of[m] >= 0 and frame_of[m + 1] == frame_of[m] + 1:
+                ends[m] = ends[m + 1]
+    return ends
+
+
+@helper
+def _subtract(row: np.ndarray, w: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
+    """Subtract w [3] times rows a, b and c from a row. Most of the time goes here: plain and long rows of numbers, which the compiler
+    computes several at a time."""
+    w0, w1, w2 = w[0], w[1], w[2]
+    for q in range(len(row)):
+        row[q] -= w0 * a[q] + w1 * b[q] + w2 * c[q]
+
+
 @kernel
 def reduce_system(
     turns: np.ndarray, shifts: np.ndarray, points: np.ndarray, first: np.ndarray, frame_of: np.ndarray, x: np.ndarray,
@@ -120,12 +140,12 @@ def reduce_system(
 
     Returns:
         H, of whose row i [6F, 6 (reach + 1)] holds the columns from i on, b [6F]; the diagonal [6F] of the poses' own block;
-        and to get the points' steps: inverse [N, 3, 3] of each point's block, its right side [N, 3], and the block [M, 3, 6]
-        between the point and the pose of an observation.
+        and to get the points' steps: inverse [N, 3, 3] of each point's block, its right side [N, 3], and the blocks [3, 6M]
+        between the point and the pose of an observation, six columns each.
     """
     F, N, M = len(turns), len(points), len(x)
     H, b, own = np.zeros((6 * F, 6 * (reach + 1))), np.zeros(6 * F), np.zeros(6 * F)
-    inverses, gradients, links = np.zeros((N, 3, 3)), np.zeros((N, 3)), np.zeros((M, 3, 6))
+    inverses, gradients, links = np.zeros((N, 3, 3)), np.zeros((N, 3)), np.zeros((3, 6 * M))
     r, J, B = np.zeros(2), np.zeros((2, 6)), np.zeros((2, 3))
     V, WV = np.zeros((3, 3)), np.zeros((6, 3))
     for n in range(N):
@@ -146,7 +166,7 @@ def reduce_system(
                 for j in range(i, 6):
                     H[6 * t + i, j - i] += u * (J[0, i] * J[0, j] + J[1, i] * J[1, j])
                 for j in range(3):
-                    links[m, j, i] = u * (J[0, i] * B[0, j] + J[1, i] * B[1, j])
+                    links[j, 6 * m + i] = u * (J[0, i] * B[0, j] + J[1, i] * B[1, j])
             for i in range(3):
                 gradients[n, i] -= u * (B[0, i] * r[0] + B[1, i] * r[1])
                 for j in range(3):
@@ -156,6 +176,7 @@ def reduce_system(
         inverses[n] = np.linalg.inv(V)
     for d in range(6 * F):
         own[d] = H[d, 0]
+    ends, x_of, y_of, z_of = _ends_of_runs(first, frame_of), links[0], links[1], links[2]
     for n in range(N):
         if not known[n]:
             continue
@@ -165,17 +186,20 @@ def reduce_system(
             if t < 0:
                 continue
             for i in range(6):
+                l0, l1, l2 = links[0, 6 * m + i], links[1, 6 * m + i], links[2, 6 * m + i]
                 for j in range(3):
-                    WV[i, j] = links[m, 0, i] * P[0, j] + links[m, 1, i] * P[1, j] + links[m, 2, i] * P[2, j]
+                    WV[i, j] = l0 * P[0, j] + l1 * P[1, j] + l2 * P[2, j]
                 b[6 * t + i] -= WV[i, 0] * gradients[n, 0] + WV[i, 1] * gradients[n, 1] + WV[i, 2] * gradients[n, 2]
-            for k in range(m, first[n + 1]):  # Frames rise, so this is the upper half.
+            k = m
+            while k < first[n + 1]:  # Frames rise, so this is the upper half.
                 s = frame_of[k]
-                if s < 0:
-                    continue
-                for i in range(6):
-                    w0, w1, w2 = WV[i, 0], WV[i, 1], WV[i, 2]
-                    for j in range(i if s == t else 0, 6):
-                        H[6 * t + i, 6 * (s - t) + j - i] -= w0 * links[k, 0, j] + w1 * links[k, 1, j] + w2 * links[k, 2, j]
+                if s >= 0:
+                    for i in range(6):
+                        row, shift = H[6 * t + i], 6 * (s - t) - i
+                        begin = 6 * k + (i if k == m else 0)
+                        end = 6 * ends[k]
+                        _subtract(row[begin + shift - 6 * k : end + shift - 6 * k], WV[i], x_of[begin:end], y_of[begin:end], z_of[begin:end])
+                k = ends[k]
     return H, b, own, inverses, gradients, links
 
 
@@ -221,7 +245,7 @@ def move_points(
                 continue
             for j in range(3):
                 for i in range(6):
-                    g[j] -= links[m, j, i] * step[6 * t + i]
+                    g[j] -= links[j, 6 * m + i] * step[6 * t + i]
         result[n] += inverses[n] @ g
     return result
 
