@@ -204,7 +204,9 @@ def test_points_that_last_for_long_are_several(monkeypatch):
     observations = TrackObservations.of_tracks(pixels, seen, K)
     whole = observations.in_pieces()
     np.testing.assert_array_equal(whole.first, observations.first)
-    monkeypatch.setattr(rigid, "_MAX_TRACK_FRAMES", 12)
+    monkeypatch.setattr(rigid, "_PIECE_FRAMES", 12)
+    np.testing.assert_array_equal(observations.in_pieces().first, observations.first, "none of them is long")
+    monkeypatch.setattr(rigid, "_MAX_TRACK_FRAMES", 14)
     cut = observations.in_pieces()
     assert observations.points < cut.points <= 4 * observations.points
     np.testing.assert_array_equal(cut.x, observations.x)

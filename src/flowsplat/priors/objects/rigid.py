@@ -41,13 +41,13 @@ INLIER_PIXELS = 1.5
 
 _GROW_ITERATIONS, _FINAL_ITERATIONS, _POSE_ITERATIONS = 4, 30, 8
 """Iterations of an adjustment while the solution grows, of the last one, and of the pose of one frame, at most. Chosen by eye."""
-_ADJUST_EVERY, _ADJUST_SHARE = 4, 0.05
-"""While it grows, a solution is adjusted when it has so many more frames, or this share more: all of it each time
-(docs/method.md, "Distance of objects")."""
+_ADJUST_EVERY, _ADJUST_SHARE = 4, 0.1
+"""While it grows, a solution is adjusted, all of it each time, when it has so many more frames; beyond 80 of them, when it has this
+share of them more, less ``_ADJUST_EVERY`` (docs/method.md, "Distance of objects")."""
 _DAMPING_TRIES = 5
 """How often a step that raises the cost is tried again with more damping. Chosen by eye."""
-_MAX_TRACK_FRAMES, _TRACK_CUT_STAGGER = 100, 61
-"""Frames over which a track counts as one point; a longer one is two or more. One that lasts for all of a long clip would join
+_MAX_TRACK_FRAMES, _PIECE_FRAMES, _TRACK_CUT_STAGGER = 100, 60, 37
+"""Frames over which a track counts as one point, and those of a piece of a longer one. One that lasts for all of a long clip would join
 all of its poses, and time grow with the cube of their number. Where one is cut, and by how many frames later the next one
 (docs/method.md, "Distance of objects")."""
 
@@ -89,16 +89,15 @@ class TrackObservations:
         return TrackObservations(first, frame, np.ascontiguousarray(x), seen.shape[1], float(K[0, 0]))
 
     def in_pieces(self) -> TrackObservations:
-        """Return the same, with points that were seen over more than ``_MAX_TRACK_FRAMES`` frames as several.
+        """Return the same, with points that were seen over more than ``_MAX_TRACK_FRAMES`` frames as several of ``_PIECE_FRAMES``.
 
         Each is cut at frames of its own: poses on either side of a cut are known relative to each other by all others.
         """
         point = self.point_of
         since = self.frame_of - self.frame_of[self.first[point]]
-        cut_from = np.zeros(self.points, np.int64)
-        late = point[since >= _MAX_TRACK_FRAMES]
-        cut_from[late] = _TRACK_CUT_STAGGER * late % _MAX_TRACK_FRAMES
-        piece = (since + cut_from[point]) // _MAX_TRACK_FRAMES
+        long = np.zeros(self.points, bool)
+        long[point[since >= _MAX_TRACK_FRAMES]] = True
+        piece = np.where(long[point], (since + _TRACK_CUT_STAGGER * point % _PIECE_FRAMES) // _PIECE_FRAMES, 0)
         starts = np.flatnonzero(np.diff(self.point_of, prepend=-1) | np.diff(piece, prepend=0))
         return replace(self, first=np.append(starts, len(self.x)))
 
@@ -271,7 +270,7 @@ class _Solver:
             self._points[self._point_of[new]] = (rays * self._shifts[t, 2] - self._shifts[t]) @ self._turns[t]
             self._known[self._point_of[new]] = True
             used = int(self._used.sum())
-            if used - adjusted >= max(_ADJUST_EVERY, _ADJUST_SHARE * used):
+            if used - adjusted >= max(_ADJUST_EVERY, _ADJUST_SHARE * used - _ADJUST_EVERY):
                 self.adjust(_GROW_ITERATIONS, 1e-3)
                 adjusted = used
 
