@@ -20,13 +20,16 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 
+from flowsplat.geometry.similarity import align_paths, path_errors
 from flowsplat.images.charts import line_chart, svg_file
 from flowsplat.images.video import write_mp4
 from flowsplat.output.videos import RenderOptions
 from flowsplat.pipeline import run
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.priors.graph import PRIORS
+from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.synthetic import SyntheticScene
 from flowsplat_benchmarks.scripts.cpu_parts.timing import significant, tell
@@ -35,8 +38,8 @@ MODULE = "flowsplat_benchmarks.scripts.growth"
 """This one, which its processes run."""
 TRAINING_STEPS = 60
 """Training steps of every run."""
-FRAMES = (40, 80, 160, 320)
-"""Numbers of frames that are compared."""
+FRAMES = (100, 200, 400, 800)
+"""Numbers of frames that are compared. The camera is back where it began after every 135 of them."""
 LONG_SIDE = 320
 """Pixels of the long side where frames are counted; the long clip at 480p is enlarged from that."""
 LONG_CLIP = 300, 854
@@ -88,6 +91,31 @@ def measure(case: GrowthCase) -> dict[str, Any]:
         **asdict(case), "frames": len(scene["timestamps"]), "width": scene["width"], "height": scene["height"],
         "gaussians": metrics["gaussians"]["total"], "active": round(metrics["gaussians"]["active_mean"]),
         "seconds": metrics["seconds"], "memory": metrics["memory_gib"], "peak": max(h["peak_memory_gib"] for h in history.values()),
+        **(camera_drift(Path(case.out)) if case.kind == "frames" else {}),
+    }  # fmt: skip
+
+
+def camera_drift(out: Path) -> dict[str, float]:
+    """Return how far estimated cameras of the built-in clip are from the true ones, and whether that grows.
+
+    Returns:
+        ``path``, ``rotation`` as from ``path_errors``; ``drift`` and ``turn``: mean distance (as a share of the extent of the true
+        path, the largest distance from its middle) and angle (degrees) between the last tenth of the cameras and the truth, once
+        the first tenth is brought onto it.
+    """
+    scene = Scene(out / "scene")
+    spec = SyntheticScene(width=scene.width, height=scene.height, frames=scene.num_frames)
+    true, tenth = [spec.camera(i) for i in range(scene.num_frames)], scene.num_frames // 10
+    whole = path_errors(scene.cameras, true)
+    similarity = align_paths(scene.cameras[:tenth], true[:tenth])
+    ends = [(similarity.camera(found), camera) for found, camera in zip(scene.cameras[-tenth:], true[-tenth:], strict=True)]
+    centers = np.array([camera.center for camera in true])
+    extent = np.linalg.norm(centers - centers.mean(0), axis=1).max()
+    cosines = [(np.trace(a.viewmat[:3, :3] @ b.viewmat[:3, :3].T) - 1) / 2 for a, b in ends]
+    return {
+        "path": whole["path"], "rotation": whole["rotation"],
+        "drift": float(np.mean([np.linalg.norm(a.center - b.center) for a, b in ends]) / extent),
+        "turn": float(np.degrees(np.arccos(np.clip(cosines, -1, 1))).mean()),
     }  # fmt: skip
 
 
@@ -218,6 +246,11 @@ def main() -> None:
     by_frames = [row for row in rows if row["kind"] == "frames"]
     if len(by_frames) > 1:
         powers = {stage: significant(round(growth(by_frames, stage), 2)) for stage in STAGES if stage not in ("train", "ingest")}
+        for row in by_frames:
+            print(
+                f"{row['frames']} frames: cameras are {row['path']:.2%} of the path and {row['rotation']:.2f} degrees off, the last "
+                f"tenth by {row['drift']:.1%} of its extent and {row['turn']:.2f} degrees where the first is right"
+            )
         print("\nPower of the number of frames: " + ", ".join(f"{stage} {power:g}" for stage, power in powers.items()))
     if options.svg:
         options.svg.write_text(figure(rows))
