@@ -248,8 +248,8 @@ def main() -> None:
         powers = {stage: significant(round(growth(by_frames, stage), 2)) for stage in STAGES if stage not in ("train", "ingest")}
         for row in by_frames:
             print(
-                f"{row['frames']} frames: cameras are {row['path']:.2%} of the path and {row['rotation']:.2f} degrees off, the last "
-                f"tenth by {row['drift']:.1%} of its extent and {row['turn']:.2f} degrees where the first is right"
+                f"{row['frames']} frames: cameras are {row['path']:.2%} of the path and {row['rotation']:.2f} degrees off, "
+                f"the last tenth by {row['drift']:.1%} of its extent and {row['turn']:.2f} degrees where the first is right"
             )
         print("\nPower of the number of frames: " + ", ".join(f"{stage} {power:g}" for stage, power in powers.items()))
     if options.svg:
