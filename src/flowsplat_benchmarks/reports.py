@@ -95,14 +95,16 @@ def runs_measured(results: Sequence[Result], failed: Mapping[str, str]) -> str:
 
 
 def scene_section(
-    out: Path, title: str, facts: str, page: str, images: Sequence[tuple[np.ndarray, str]] = (), widest: int = MAX_IMAGE_WIDTH
-) -> dict[str, Any]:
+    out: Path, title: str, facts: str, page: str, images: Sequence[tuple[np.ndarray, str]] = (), widest: int = MAX_IMAGE_WIDTH,
+    shown: str = "The test image of median PSNR, and under it the worst one",
+) -> dict[str, Any]:  # fmt: skip
     """Return what the page says of a scene.
 
     Args:
         page: of the scene, in ``out``; there is a link to it where it is there.
         images: [H, W, 3] each, with what it shows.
         widest: pixels of one in the page, at most.
+        shown: what the images are.
     """
     strip = Markup().join(image_tag(shrink_to_page(image, widest), what) for image, what in images)
-    return {"title": title, "facts": facts, "strip": strip or None, "page": page if (out / page).exists() else None}
+    return {"title": title, "facts": facts, "strip": strip or None, "shown": shown, "page": page if (out / page).exists() else None}

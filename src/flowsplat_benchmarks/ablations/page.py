@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from flowsplat_benchmarks.reports import Report, failures
 from flowsplat_benchmarks.tables import Result, Table, describe_version, label, plain
@@ -11,7 +12,7 @@ from flowsplat_benchmarks.tables import Result, Table, describe_version, label, 
 
 def write_ablation_report(
     out: Path, name: str, title: str, verdict: str, remarks: Sequence[str], tables: Sequence[Table], failed: Mapping[str, str],
-    others: int = 0,
+    others: int = 0, scenes: Sequence[Mapping[str, Any]] = (),
 ) -> Path:  # fmt: skip
     """Write ``OUT/<name>.md``, ``.html`` and the charts of the tables, and return the path of the page.
 
@@ -19,6 +20,7 @@ def write_ablation_report(
         verdict: the result in a sentence.
         failed: runs that could not be made, and why.
         others: how many results in ``out`` are left out.
+        scenes: sections under the tables, as from ``scene_section``.
 
     Raises:
         InputError: the folder cannot be written.
@@ -26,7 +28,7 @@ def write_ablation_report(
     if others:
         remarks = [*remarks, f"Results in this folder that have other settings or scenes, and are left out here: {others}."]
     remarks = [*remarks, *failures(failed)]
-    return Report(name, title, verdict, remarks, tables, template="ablations.html.jinja", verdict_is_remark=True).write(out)
+    return Report(name, title, verdict, remarks, tables, scenes, template="ablations.html.jinja", verdict_is_remark=True).write(out)
 
 
 def scene_names(results: Sequence[Result]) -> dict[str, str]:

@@ -10,6 +10,7 @@ from flowsplat.evaluation.scores import mean_of
 from flowsplat.images.charts import bar_chart
 from flowsplat.images.html import NOTHING
 from flowsplat_benchmarks.ablations.claims import CLAIMS, TITLES, Claim, Group
+from flowsplat_benchmarks.ablations.flow_maps import list_flow_maps
 from flowsplat_benchmarks.ablations.page import how_measured, scene_names, write_ablation_report
 from flowsplat_benchmarks.ablations.training_runs import by_run
 from flowsplat_benchmarks.ablations.variants import Variant
@@ -46,7 +47,7 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
     steps = ", ".join(f"{count:,}" for count in sorted({result["iterations"] for result in results}))
     remarks = [*REMARKS, how_measured(results), f"Seeds {', '.join(map(str, seeds))}; {steps} frame-steps."] if results else []
     said = f"{len(verdicts)} rows: {counts(verdicts)}." if verdicts else "Nothing is measured yet."
-    return write_ablation_report(out, "ablations", TITLE, said, remarks, tables, failed, others)
+    return write_ablation_report(out, "ablations", TITLE, said, remarks, tables, failed, others, list(list_flow_maps(out, results)))
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from flowsplat.training.per_frame import PerFrameModel, train_per_frame
 from flowsplat.training.scene_model import scene_model
 from flowsplat.training.static import static_config, static_start
 from flowsplat.training.trainer import Trainer
+from flowsplat_benchmarks.ablations.flow_maps import SHOWN, write_flow_map
 from flowsplat_benchmarks.ablations.scenes import AblationScene
 from flowsplat_benchmarks.ablations.variants import Variant
 from flowsplat_benchmarks.ablations.verdicts import Run
@@ -77,7 +78,7 @@ class TrainingRun:
         return stage_key(case.scene, case.config.input, case.config.priors, self.variant.kind, self.config)
 
     def _measure(self, out: Path) -> dict[str, Any]:
-        return measure(self, self.scene.prepare(out))
+        return measure(self, self.scene.prepare(out), out)
 
 
 def list_training_runs(
@@ -90,8 +91,8 @@ def list_training_runs(
                 yield TrainingRun(protocol, scene, variant, variant.config(iterations, cap, seed))
 
 
-def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
-    """Train and measure on the prepared scene in ``path``.
+def measure(run: TrainingRun, path: Path, out: Path) -> dict[str, Any]:
+    """Train and measure on the prepared scene in ``path``; what is an image goes into the folder ``out``.
 
     Returns:
         ``protocol``, ``scene``, ``size``, ``tuned``, ``variant``, ``settings``, ``seed``, ``iterations``, ``cap``, ``flowsplat``
@@ -107,6 +108,8 @@ def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
     model, total = _train(run, scene)
     trained, used = time.perf_counter(), time.process_time() - processor
     metrics = evaluate(model, scene, baselines=False)
+    if run.protocol == "ablations" and run.variant.name in SHOWN and run.config.seed == 0 and isinstance(model, SceneModel):
+        write_flow_map(out, run.scene.case.scene, run.variant.name, model, scene)
     kind = "views" if scene.views else "frames"
     tested = metrics[f"heldout_{kind}"]
     evaluated, memory = time.perf_counter(), peak_memory()

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 
+import numpy as np
 import pytest
 
 from flowsplat.images.html import NOTHING
+from flowsplat.scenes.layers import read_image, write_image
 from flowsplat.training.config import PRESETS
-from flowsplat_benchmarks.ablations import caps, report
+from flowsplat_benchmarks.ablations import caps, flow_maps, report
 from flowsplat_benchmarks.ablations.claims import CLAIMS
 from flowsplat_benchmarks.tables import describe_version
 
@@ -35,6 +37,21 @@ def ablations() -> list[dict]:
             found.append(result("no-q", 31.0 + offset + 0.1 * (1 - seed), moving=None, **more))
             found.append(result("no-mu", 31.5 + offset + 0.1 * seed, moving=28.0 + offset, **more))
     return found
+
+
+def test_flow_maps_are_shown_in_the_order_of_the_paper(tmp_path):
+    (tmp_path / flow_maps.FOLDER).mkdir()
+    order = ["frame", "prior", *flow_maps.SHOWN]
+    for k, name in enumerate(order):
+        if name != "linear":
+            write_image(tmp_path / flow_maps.FOLDER / f"bear_{name}.png", np.full((30, 40, 3), 10 + 30 * k, np.uint8))
+    page = report.write_report(tmp_path, ablations(), {}).read_text()
+    assert "Flow maps (the paper&#39;s figure): bear" in page
+    assert "4 of 5 rows" in page
+    assert "figure): train" not in page, "a scene without maps has none"
+    sheet = read_image(tmp_path / flow_maps.FOLDER / "bear.png")
+    shown = [int(sheet[y, x, 0]) for y in (20, 54) for x in (20, 64, 108, 152)]
+    assert shown == [10, 40, 70, 130, 160, 190, 255, 255]
 
 
 def test_ablations(tmp_path):

@@ -48,7 +48,7 @@ def measured(monkeypatch, in_this_process):
     """Stands in for trainings."""
     done = []
 
-    def measure(run, _):
+    def measure(run, *_):
         done.append((run.scene.name, run.variant.name, run.config.seed))
         figures = result(run.variant.name, 30.0 + len(done), run.scene.case.scene, run.config.seed)
         cap = run.config.gaussians or run.config.density.max_gaussians
@@ -156,3 +156,7 @@ def test_every_kind_of_row_is_trained(runs_root, tmp_path):
     text = (tmp_path / "ablations.md").read_text()
     assert "one static scene" in text
     assert "one run" in text, "one seed on one scene has no spread"
+    assert {path.stem for path in (tmp_path / "flow_maps").iterdir()} == {
+        f"tiny_{each}" for each in ("frame", "prior", "4dgs", "full")
+    } | {"tiny"}
+    assert "Flow maps (the paper&#39;s figure): tiny" in (tmp_path / "ablations.html").read_text()

@@ -124,8 +124,8 @@ def _ends_of_runs(first: np.ndarray, frame_of: np.ndarray) -> np.ndarray:
 
 @helper
 def _subtract(row: np.ndarray, w: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
-    """Subtract w [3] times rows a, b and c from a row. Most of the time goes here: plain and long rows of numbers, which the compiler
-    computes several at a time."""
+    """Subtract w [3] times rows a, b and c from a row. Most of the time goes here: of long rows of numbers a compiler computes
+    several at a time."""
     w0, w1, w2 = w[0], w[1], w[2]
     for q in range(len(row)):
         row[q] -= w0 * a[q] + w1 * b[q] + w2 * c[q]
@@ -197,8 +197,8 @@ def reduce_system(
                     for i in range(6):
                         row, shift = H[6 * t + i], 6 * (s - t) - i
                         begin = 6 * k + (i if k == m else 0)
-                        end = 6 * ends[k]
-                        _subtract(row[begin + shift - 6 * k : end + shift - 6 * k], WV[i], x_of[begin:end], y_of[begin:end], z_of[begin:end])
+                        end, to = 6 * ends[k], shift - 6 * k
+                        _subtract(row[begin + to : end + to], WV[i], x_of[begin:end], y_of[begin:end], z_of[begin:end])
                 k = ends[k]
     return H, b, own, inverses, gradients, links
 
