@@ -138,7 +138,7 @@ def test_what_a_scene_costs_is_measured(tmp_path):
 
 
 @pytest.mark.slow
-def test_every_kind_of_row_is_trained(runs_root, tmp_path):
+def test_every_kind_of_row_is_trained(runs_root, tmp_path, in_this_process):
     rows = ("4dgs", "static", "per-frame")
     call("ablations", runs_root, "-o", tmp_path, "--scenes", "tiny", "--rows", *rows, "--seeds", "0", "--iterations", "24")
     values = {path.stem.split("_")[2]: json.loads(path.read_text()) for path in tmp_path.glob("*.json")}
