@@ -18,10 +18,13 @@ from flowsplat.batch.clips import BatchClip
 from flowsplat.batch.run_clip import run_clip
 from flowsplat.cli import main
 from flowsplat.common.errors import InputError
+from flowsplat.geometry import Similarity
 from flowsplat.images.video import write_mp4
 from flowsplat.pipeline import run_shots
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.folder import RunFolder
+from flowsplat.pipeline.shot_list import Place, read_shots, write_places
+from flowsplat.priors.cameras.same_place import SamePlace
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene
 from flowsplat.training.trainer import Trainer
@@ -155,6 +158,7 @@ def test_it_says_what_was_left_out_and_the_report_shows_all(finished, clip, caps
     ):
         assert part in page
     assert "Not finished yet" not in page
+    assert json.loads((finished / "shots.json").read_text())["places"] == [], "looked for, and not sure of such small images"
     assert page.count('preload="none" poster="data:image/jpeg') == 2, "seen before it plays"
 
 
@@ -300,7 +304,33 @@ EMPTY = '{"version": 1, "input": "a", "fingerprint": "b", "shots": [], "notes": 
 BACKWARDS = '{"version": 1, "input": "a", "fingerprint": "b", "shots": [{"start": 2, "end": 1}], "notes": []}'
 
 
-@pytest.mark.parametrize("text", ["", "{}", BACKWARDS, EMPTY, "[1]"])
+PLACES = (
+    '{"version": 1, "input": "a", "fingerprint": "b", "shots": [{"start": 0, "end": 1}, {"start": 1, "end": 2}], "notes": [], '
+    '"places": [{"shots": [%s], "similarity": {"scale": %s, "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], '
+    '"translation": [0, 0, 0]}, "matches": 9, "pixels": 1, "split_pixels": 1}]}'
+)
+DAMAGED = ("", "{}", BACKWARDS, EMPTY, "[1]", PLACES % ("1, 3", 1), PLACES % ("2, 1", 1), PLACES % ("1, 2", -1), PLACES % ("1", 1))
+
+
+def test_shots_of_one_place_are_told_and_kept(tmp_path):
+    (tmp_path / "shots.json").write_text(json.dumps({**json.loads(EMPTY), "shots": [{"start": k, "end": k + 1} for k in range(3)]}))
+    listed = read_shots(tmp_path)
+    assert listed is not None
+    assert listed.places is None
+    similarity = Similarity(2.0, np.diag([1.0, -1.0, -1.0]), np.array([1.0, 2.0, 3.0]))
+    write_places(tmp_path, [Place(1, 3, SamePlace(similarity, 120, 1.5, 2.25))])
+    listed = read_shots(tmp_path)
+    assert listed is not None
+    assert listed.places is not None
+    (place,) = listed.places
+    assert (place.first, place.second, place.found.matches) == (1, 3, 120)
+    assert place.found.similarity.to_json() == similarity.to_json()
+    assert listed.remarks == [
+        "Shots 1 and 3 see the same place: the cameras of both are known in one world, to about 2.2 pixels by 120 points."
+    ]
+
+
+@pytest.mark.parametrize("text", DAMAGED)
 def test_a_damaged_record_is_one_line(tmp_path, capsys, clip, text):
     (tmp_path / "shots.json").write_text(text)
     for command in (("run", clip, "-o", tmp_path), ("info", tmp_path), ("evaluate", tmp_path)):

@@ -5,19 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from msgspec import Meta
-from typing_extensions import TypedDict
+from typing_extensions import NotRequired, TypedDict
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import read_json
+from flowsplat.common.files import read_json, write_json
 from flowsplat.common.files.json_file import Count, Text
 from flowsplat.common.run_paths import RunPaths
+from flowsplat.geometry import Similarity
+from flowsplat.priors.cameras.same_place import SamePlace
 
 VERSION = 1
 
 Second = Annotated[float, Meta(ge=0, le=1e9)]
+Pixels = Annotated[float, Meta(ge=0, le=1e5)]
 
 
 class ShotFile(TypedDict):
@@ -27,14 +30,25 @@ class ShotFile(TypedDict):
     end: Second
 
 
+class PlaceFile(TypedDict):
+    """Two shots of one place in ``shots.json``."""
+
+    shots: Annotated[list[Count], Meta(min_length=2, max_length=2)]
+    similarity: dict[str, Any]
+    matches: Count
+    pixels: Pixels
+    split_pixels: Pixels
+
+
 class ShotsFile(TypedDict):
-    """What ``shots.json`` holds."""
+    """What ``shots.json`` holds; ``places`` only once all shots were compared."""
 
     version: Count
     input: Text
     fingerprint: Text
     shots: Annotated[list[ShotFile], Meta(min_length=1)]
     notes: list[Text]
+    places: NotRequired[list[PlaceFile]]
 
 
 @dataclass(frozen=True)
@@ -58,11 +72,39 @@ class Shot:
 
 
 @dataclass(frozen=True)
+class Place:
+    """Two shots that see the same place.
+
+    Attributes:
+        first: number of a shot.
+        second: of a later one.
+        found: how they lie to each other; its similarity takes points and cameras of the first to the coordinates of the second.
+    """
+
+    first: int
+    second: int
+    found: SamePlace
+
+    def __str__(self) -> str:
+        """A sentence."""
+        return (
+            f"Shots {self.first} and {self.second} see the same place: the cameras of both are known in one world, to about "
+            f"{max(self.found.split_pixels, self.found.pixels):.1f} pixels by {self.found.matches} points."
+        )
+
+
+@dataclass(frozen=True)
 class ShotList:
-    """The shots of a clip, and sentences on what else was seen of its cuts."""
+    """The shots of a clip, sentences on what else was seen of its cuts, and shots of one place (None: not looked for yet)."""
 
     shots: list[Shot]
     notes: list[str]
+    places: list[Place] | None = None
+
+    @property
+    def remarks(self) -> list[str]:
+        """All there is to say of them."""
+        return [*self.notes, *map(str, self.places or ())]
 
 
 def read_shots(out: Path) -> ShotList | None:
@@ -81,7 +123,38 @@ def read_shots(out: Path) -> ShotList | None:
     times = [second for span in spans for second in span]
     if times != sorted(times):
         raise InputError(f"{path} is damaged: its shots do not follow one another.")
-    return ShotList(_place_shots(out, spans), list(record["notes"]))
+    places = record.get("places")
+    known = None if places is None else [_read_place(path, place, len(spans)) for place in places]
+    return ShotList(_place_shots(out, spans), list(record["notes"]), known)
+
+
+def write_places(out: Path, places: Sequence[Place]) -> None:
+    """Add to the record of a folder which of its shots see the same place.
+
+    Raises:
+        InputError: the record is damaged, or cannot be written.
+    """
+    path = RunPaths(out).shots_record_path
+    record = read_json(path, ShotsFile)
+    record["places"] = [
+        {
+            "shots": [place.first, place.second], "similarity": place.found.similarity.to_json(), "matches": place.found.matches,
+            "pixels": place.found.pixels, "split_pixels": place.found.split_pixels,
+        }
+        for place in places
+    ]  # fmt: skip
+    write_json(path, record)
+
+
+def _read_place(path: Path, place: PlaceFile, shots: int) -> Place:
+    first, second = place["shots"]
+    try:
+        similarity = Similarity.from_json(place["similarity"])
+    except (ValueError, KeyError, TypeError):
+        similarity = None
+    if similarity is None or not 1 <= first < second <= shots:
+        raise InputError(f"{path} is damaged: what it says of shots of one place is not possible.")
+    return Place(first, second, SamePlace(similarity, place["matches"], place["pixels"], place["split_pixels"]))
 
 
 def resolve_run(out: Path) -> Path:

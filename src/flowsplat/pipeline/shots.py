@@ -12,6 +12,7 @@ import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,7 +20,7 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import lease, read_json, write_json
-from flowsplat.common.progress import report
+from flowsplat.common.progress import report, track
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.output.export.formats import EXPORTERS
 from flowsplat.output.export.options import ExportOptions
@@ -28,9 +29,10 @@ from flowsplat.output.shots_report import ShotOnPage, choose_video, write_shots_
 from flowsplat.output.videos import list_rendered, read_posters
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import stage_key
-from flowsplat.pipeline.shot_list import VERSION, Shot, ShotList, ShotsFile, read_shots
+from flowsplat.pipeline.shot_list import VERSION, Place, Shot, ShotList, ShotsFile, read_shots, write_places
 from flowsplat.pipeline.speed import STAGES, Speed, estimate_seconds_of_clip
 from flowsplat.pipeline.stages import load, read_metrics, run
+from flowsplat.priors.cameras.same_place import find_same_place
 from flowsplat.priors.cameras.shots import MIN_SHOT_FRAMES, Piece, Transition, find_pieces, find_transitions
 from flowsplat.priors.options import names_places
 from flowsplat.scenes import Scene
@@ -116,7 +118,20 @@ def _run_all(source: Path, out: Path, config: RunConfig) -> dict[str, dict[str, 
         report(f"Shot {shot.number} of {len(listed.shots)}: {shot.start:.2f} to {shot.end:.2f} s, in {shot.path}")
         metrics[shot.path.name] = run(source, shot.path, replace(config, input=input_of(shot, config.input)))
         _write_report(out, source, listed)
+    if listed.places is None and len(listed.shots) > 1:
+        write_places(out, _find_places(listed.shots))
+        listed = read_shots(out)
+        assert listed is not None
+        _write_report(out, source, listed)
     return metrics
+
+
+def _find_places(shots: Sequence[Shot]) -> list[Place]:
+    """Compare each shot with each."""
+    scenes = [Scene(RunPaths(shot.path).scene_path) for shot in shots]
+    pairs = list(combinations(range(len(shots)), 2))
+    compared = ((k, j, find_same_place(scenes[k], scenes[j])) for k, j in track(pairs, "Looking for shots of one place"))
+    return [Place(k + 1, j + 1, found) for k, j, found in compared if found is not None]
 
 
 def _write_report(out: Path, source: Path, listed: ShotList) -> None:
@@ -129,7 +144,7 @@ def _write_report(out: Path, source: Path, listed: ShotList) -> None:
         posters = {} if shown is None else read_posters(paths.renders_path, {shown: videos[shown]})
         folder = shot.path.relative_to(out).as_posix()
         pages.append(ShotOnPage(folder, str(shot), measured, videos, next(iter(posters.values()), None)))
-    write_shots_report(RunPaths(out).report_path, source.stem if source.is_file() else source.name, pages, listed.notes)
+    write_shots_report(RunPaths(out).report_path, source.stem if source.is_file() else source.name, pages, listed.remarks)
 
 
 def input_of(shot: Shot, options: InputOptions) -> InputOptions:
@@ -151,7 +166,7 @@ def word_next_steps(out: Path) -> Iterator[str]:
     """
     listed = read_shots(out)
     assert listed is not None
-    yield from listed.notes
+    yield from listed.remarks
     folder, first = shlex.quote(str(out)), shlex.quote(str(listed.shots[0].path))
     yield f"  their report:    {RunPaths(out).report_path}"
     yield f"  look around:     flowsplat view {first}"
