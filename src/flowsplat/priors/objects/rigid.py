@@ -46,7 +46,7 @@ _ADJUST_EVERY, _ADJUST_SHARE = 4, 0.1
 share of them more, less ``_ADJUST_EVERY`` (docs/method.md, "Distance of objects")."""
 _DAMPING_TRIES = 5
 """How often a step that raises the cost is tried again with more damping. Chosen by eye."""
-_MAX_TRACK_FRAMES, _PIECE_FRAMES, _TRACK_CUT_STAGGER = 100, 60, 37
+_MAX_TRACK_FRAMES, _PIECE_FRAMES, _TRACK_CUT_STAGGER = 100, 40, 23
 """Frames over which a track counts as one point, and those of a piece of a longer one: one that lasts for all of a long clip would
 join all of its poses, and time grow with the cube of their number. By how many frames later the next one is cut
 (docs/method.md, "Distance of objects")."""
