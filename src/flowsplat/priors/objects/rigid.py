@@ -37,19 +37,19 @@ MIN_SHARED_POINTS = 6
 MIN_POINT_DEPTH = 0.05
 """Depth, in units of the object's mean distance, below which a point is taken for this near. Chosen by eye."""
 INLIER_PIXELS = 1.5
-"""Pixels up to which an observation agrees with the solution (docs/method.md, "Distance of objects")."""
+"""Pixels up to which an observation agrees with the solution (docs/method/objects.md)."""
 
 _GROW_ITERATIONS, _FINAL_ITERATIONS, _POSE_ITERATIONS = 4, 30, 8
 """Iterations of an adjustment while the solution grows, of the last one, and of the pose of one frame, at most. Chosen by eye."""
 _ADJUST_EVERY, _ADJUST_SHARE = 4, 0.05
 """While it grows, a solution is adjusted when it has so many more frames, or this share more: all of it each time
-(docs/method.md, "Distance of objects")."""
+(docs/method/objects.md)."""
 _DAMPING_TRIES = 5
 """How often a step that raises the cost is tried again with more damping. Chosen by eye."""
 _MAX_TRACK_FRAMES, _TRACK_CUT_STAGGER = 100, 61
 """Frames over which a track counts as one point; a longer one is two or more. One that lasts for all of a long clip would join
 all of its poses, and time grow with the cube of their number. Where one is cut, and by how many frames later the next one
-(docs/method.md, "Distance of objects")."""
+(docs/method/objects.md)."""
 
 
 @dataclass(frozen=True)
