@@ -1,13 +1,14 @@
 """Puts constants, settings and the list of source files into the pages of the method while the site is built, from the source.
 
-A page names modules or folders below ``src`` in a comment: ``<!-- constants: flowsplat/priors/flow.py -->`` becomes a table of every
-constant that has a description, ``<!-- settings: flowsplat/training/config.py RatesConfig -->`` one of the fields of a dataclass, and
-``<!-- source files: flowsplat/priors/masks -->`` one of the files and their first sentences.
+A page names modules or folders below ``src`` in a comment: ``<!-- constants: flowsplat/priors/flow.py -->`` becomes a table of
+every constant that has a description, ``<!-- settings: flowsplat/training/config.py RatesConfig -->`` one of the fields of a
+dataclass, and ``<!-- source files: flowsplat/priors/masks -->`` one of the files and their first sentences.
 """
 
 from __future__ import annotations
 
 import ast
+import itertools
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -63,7 +64,7 @@ def _modules(names: list[str]) -> Iterator[Path]:
 
 def _described(body: list[ast.stmt], upper: bool) -> Iterator[tuple[str, str, str]]:
     """Name, value and description of every assignment that a string follows."""
-    for node, after in zip(body, body[1:], strict=False):
+    for node, after in itertools.pairwise(body):
         if isinstance(node, ast.Assign):
             target, value = node.targets[0], node.value
         elif isinstance(node, ast.AnnAssign) and node.value is not None:
@@ -97,4 +98,6 @@ def _cell(text: str) -> str:
     """One line that may stand in a table, with code as Markdown has it."""
     text = re.sub(r"``(.+?)``", r"`\1`", " ".join(text.split()))
     parts = re.split(r"(`.+?`)", text)
-    return _escape("".join(part if i % 2 else part.replace("<", "&lt;").replace("*", "\\*").replace("_", "\\_") for i, part in enumerate(parts)))
+    for i in range(0, len(parts), 2):  # every other one is code
+        parts[i] = parts[i].replace("<", "&lt;").replace("*", "\\*").replace("_", "\\_")
+    return _escape("".join(parts))
