@@ -161,8 +161,9 @@ def _aside(x: float, other: float) -> float:
 def _box(x: float, y: float, name: str, says: str, wide: float = WIDE) -> str:
     middle = x + wide / 2
     return (
-        f'<rect x="{x:g}" y="{y:g}" width="{wide:g}" height="{HIGH}"/><g text-anchor="middle"><text class="b" x="{middle:g}" y="{y + 18:g}">'
-        f'{html.escape(name)}</text><text class="s" x="{middle:g}" y="{y + 34:g}">{html.escape(says)}</text></g>'
+        f'<rect x="{x:g}" y="{y:g}" width="{wide:g}" height="{HIGH}"/><g text-anchor="middle">'
+        f'<text class="b" x="{middle:g}" y="{y + 18:g}">{html.escape(name)}</text>'
+        f'<text class="s" x="{middle:g}" y="{y + 34:g}">{html.escape(says)}</text></g>'
     )
 
 
