@@ -1,6 +1,6 @@
 """Puts constants, settings and the list of source files into the pages of the method while the site is built, from the source.
 
-A page names modules or folders below ``src`` in a comment: ``<!-- constants: flowsplat/priors/flow.py -->`` becomes a table of
+A page names modules or folders below ``src`` in a comment: ``<!-- constants: flowsplat/priors/flow.py -->`` becomes tables of
 every constant that has a description, ``<!-- settings: flowsplat/training/config.py RatesConfig -->`` one of the fields of a
 dataclass, and ``<!-- source files: flowsplat/priors/masks -->`` one of the files and their first sentences.
 """
@@ -16,6 +16,8 @@ from typing import Any
 
 SOURCE = Path(__file__).parents[2] / "src"
 MARK = re.compile(r"<!-- (constants|settings|source files): (.*?) -->", re.S)
+Row = tuple[str, str, str]
+"""Name, value and description."""
 LONGEST = 60
 """Characters of a value that is shown; a longer one stands in its file."""
 
@@ -29,29 +31,32 @@ def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
 
 
 def constants(names: list[str]) -> Iterator[str]:
-    """Lines of a folded table for every module that has constants with descriptions."""
+    """Lines of one folded block with a table for every module that has constants with descriptions."""
+    tables: list[tuple[str, list[Row]]] = []
     for path in _modules(names):
         rows = list(_described(ast.parse(path.read_text(encoding="utf-8")).body, upper=True))
         if rows:
-            yield from _folded(path.relative_to(SOURCE).as_posix(), "constant", rows)
+            tables.append((path.relative_to(SOURCE).as_posix(), rows))
+    yield from _folded(f"{sum(len(rows) for _, rows in tables)} constants, by file", "constant", tables)
 
 
 def settings(names: list[str]) -> Iterator[str]:
-    """Lines of a folded table of the fields of dataclasses: a module, then the names of its classes."""
+    """Lines of one folded block with the fields of dataclasses: a module, then the names of its classes."""
     path, *classes = names
     tree = ast.parse((SOURCE / path).read_text(encoding="utf-8"))
     found = {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
-    for name in classes:
-        yield from _folded(f"{path}, {name}", "setting", list(_described(found[name].body, upper=False)))
+    tables = [(f"{path}, {name}", list(_described(found[name].body, upper=False))) for name in classes]
+    yield from _folded(f"Settings: {', '.join(classes)}", "setting", tables)
 
 
 def source_files(names: list[str]) -> Iterator[str]:
-    """Lines of a table of files, with the first sentence of each."""
+    """Lines of a table of files below ``src/flowsplat`` (or ``src``), with the first sentence of each."""
     yield "| file | what it does |\n| --- | --- |"
     for path in _modules(names):
         text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
         if text and path.name != "__init__.py":
-            yield f"| `{path.relative_to(SOURCE).as_posix()}` | {_cell(text.split(chr(10) * 2)[0])} |"
+            says = re.sub(r"\s*\((?:ours|docs)[^)]*\)", "", text.split("\n\n")[0])  # which page it is on is this one
+            yield f"| `{path.relative_to(SOURCE).as_posix().removeprefix('flowsplat/')}` | {_cell(says)} |"
 
 
 def _modules(names: list[str]) -> Iterator[Path]:
@@ -62,7 +67,7 @@ def _modules(names: list[str]) -> Iterator[Path]:
         yield from [path] if path.is_file() else sorted(path.rglob("*.py"))
 
 
-def _described(body: list[ast.stmt], upper: bool) -> Iterator[tuple[str, str, str]]:
+def _described(body: list[ast.stmt], upper: bool) -> Iterator[Row]:
     """Name, value and description of every assignment that a string follows."""
     for node, after in itertools.pairwise(body):
         if isinstance(node, ast.Assign):
@@ -82,12 +87,13 @@ def _described(body: list[ast.stmt], upper: bool) -> Iterator[tuple[str, str, st
         yield name, text if len(text) <= LONGEST and "\n" not in text else "", after.value.value
 
 
-def _folded(title: str, kind: str, rows: list[tuple[str, str, str]]) -> Iterator[str]:
+def _folded(title: str, kind: str, tables: list[tuple[str, list[Row]]]) -> Iterator[str]:
     yield f'\n??? note "{title}"\n'
-    yield f"    | {kind} | value | what it is, and where it comes from |\n    | --- | --- | --- |"
-    for name, value, text in rows:
-        yield f"    | `{name}` | {f'`{_escape(value)}`' if value else ''} | {_cell(text)} |"
-    yield ""
+    for name, rows in tables:
+        yield f"    **`{name}`**\n\n    | {kind} | value | what it is, and where it comes from |\n    | --- | --- | --- |"
+        for constant, value, text in rows:
+            yield f"    | `{constant}` | {f'`{_escape(value)}`' if value else ''} | {_cell(text)} |"
+        yield ""
 
 
 def _escape(text: str) -> str:
