@@ -55,12 +55,12 @@ def list_licenses(package: str = "flowsplat") -> list[PackageLicense]:
 def read_license(installed: Distribution) -> str:
     """Return the license that the metadata of a package names: the expression, else the classifiers, else a short field."""
     metadata = installed.metadata
-    if expression := metadata.get("License-Expression"):
-        return expression
+    if expression := metadata.get_all("License-Expression"):
+        return expression[0]
     classifiers = [text.split(" :: ")[-1] for text in metadata.get_all("Classifier") or () if text.startswith("License :: ")]
     if named := [text for text in classifiers if text != "OSI Approved"]:
         return ", ".join(named)
-    field = (metadata.get("License") or "").strip()
+    field = "".join(metadata.get_all("License") or ()).strip()
     return field if field and len(field) <= MAX_LICENSE_CHARS and "\n" not in field else NOT_SAID
 
 
