@@ -2,6 +2,8 @@
 
     python docs/tools/images.py WORK_FOLDER [--only result|tutorial|clips]
 
+``result`` makes both images of the demo: the one that moves, for the README, and the still one.
+
 All but ``result`` need chromium or chrome, and playwright and viser (extra ``dev``). What is in the work folder already is used
 again.
 """
@@ -10,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import shutil
 import subprocess
 import sys
@@ -25,6 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from flowsplat import load
 from flowsplat.geometry import Camera
+from flowsplat.geometry.paths import orbit
 from flowsplat.images.colors import depth_range, depth_to_color, flow_to_color
 from flowsplat.images.sheets import side_by_side, stack
 from flowsplat.scenes import Scene
@@ -46,6 +50,8 @@ FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-
 QUALITY = 82
 TALL = 225
 """Pixels of an image of the result."""
+MOVING_QUALITY = 70
+"""Of the animated WebP, 0 to 100: it stays below a megabyte, so that it can stand in the README on PyPI."""
 
 RenderCase = np.ndarray
 
@@ -164,6 +170,7 @@ def image_result(work: Path) -> None:
     out = work / "demo"
     if not (out / "true" / "report.html").exists():
         _flowsplat("demo", "-o", out)
+    _image_moving(out / "own")
     scene, model = Scene(out / "own" / "scene"), load(out / "own" / "model")
     i = scene.heldout_frames[len(scene.heldout_frames) // 2]
     (camera, following), (time, later) = scene.cameras[i : i + 2], map(float, scene.timestamps[i : i + 2])
@@ -179,6 +186,23 @@ def image_result(work: Path) -> None:
         ),
     ]
     cv2.imwrite(str(IMAGES / "result.png"), stack(rows)[..., ::-1])
+
+
+def _image_moving(run: Path) -> None:
+    """The clip, the scene from the same place, and the scene from aside, as one animation: of the model that is shown."""
+    scene, model = Scene(run / "scene"), load(run)
+    degrees = json.loads((run / "renders" / "renders.json").read_text())["orbit"]["swing"]["degrees"]
+    aside = orbit(scene.cameras, 1 / scene.similarity.scale, scene.num_frames, degrees)
+    labels = ["the clip", "the scene, from the same place", f"from aside, up to {degrees:g} degrees"]
+    animation = cv2.Animation()
+    frames = []
+    for i, (time_, own, moved) in enumerate(zip(map(float, scene.timestamps), scene.cameras, aside, strict=True)):
+        clip = scene.heldout_frame(i) if i in scene.heldout_frames else scene.frame(i)
+        panels = [clip, model.render(own, time_).color, model.render(moved, time_).color]
+        frames.append(np.ascontiguousarray(side_by_side(panels, labels)[..., ::-1]))
+    animation.frames = frames
+    animation.durations = np.full(len(frames), round(1000 / FPS), np.int32)
+    cv2.imwriteanimation(str(IMAGES / "scene.webp"), animation, [cv2.IMWRITE_WEBP_QUALITY, MOVING_QUALITY])
 
 
 # -- the tutorial

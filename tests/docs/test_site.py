@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import html
+import importlib.util
 import os
 import re
 import subprocess
@@ -24,7 +25,7 @@ DOCS = TOP / "docs"
 @pytest.fixture(scope="module")
 def site(tmp_path_factory) -> Path:
     """The built site."""
-    for package in ("mkdocs", "material", "mkdocstrings"):
+    for package in ("mkdocs", "material", "mkdocstrings", "latex2mathml"):
         pytest.importorskip(package, reason="the site was not built: that needs mkdocs (pip install -e '.[docs]')")
     folder = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
@@ -70,6 +71,71 @@ def test_nothing_is_fetched_from_elsewhere(site):
     for page in site.rglob("*.html"):
         text = page.read_text(encoding="utf-8")
         assert re.findall(r"<(?:script|img|link|iframe)[^>]+(?:src|href)=[\"']?(?:https?:)?//[^\"' >]+", text) == [], page.name
+
+
+def test_formulas_need_no_script(site):
+    page = (site / "method/representation.html").read_text(encoding="utf-8")
+    assert page.count("<math") > 60
+    assert "munderover" in page
+    for path in site.rglob("*.html"):
+        text = re.sub(r"<(code|pre)\b.*?</\1>", "", path.read_text(encoding="utf-8"), flags=re.S)
+        assert re.findall(r"arithmatex|\$\S[^$<\n]*\\[a-z]+|\\\(|\\\[", text.split("<article", 1)[-1]) == [], path.name
+
+
+def test_the_search_works_from_disk(site):
+    text = (site / "search/search_index.js").read_text(encoding="utf-8")
+    assert text.startswith("var __index = {")
+    assert "Distance is a matter of choice after training" in text
+    page = (site / "method/flow.html").read_text(encoding="utf-8")
+    assert 'src="../assets/iframe-worker.js"' in page
+    assert (site / "assets/iframe-worker.js").is_file()
+
+
+ORDER = ["Problem", "Equations", "Algorithm", "Constants", "Source files", "Differences from the paper"]
+
+
+def test_the_pages_of_the_method_have_one_order(site):
+    pages = sorted(path for path in (DOCS / "method").glob("*.md") if path.name != "index.md")
+    assert len(pages) == 8
+    for path in pages:
+        assert re.findall(r"^## (.+)$", path.read_text(encoding="utf-8"), re.M) == ORDER, path.name
+        assert "<!--" not in (site / "method" / f"{path.stem}.html").read_text(encoding="utf-8").split("<article")[1], path.name
+
+
+def test_constants_on_the_pages_are_those_of_the_code(site):
+    from flowsplat.splatting import rules
+    from flowsplat.training.config import RatesConfig
+
+    for page, name, value in (("flow", "ALPHA_MAX", rules.ALPHA_MAX), ("training", "means_pixels", RatesConfig().means_pixels)):
+        text = (site / "method" / f"{page}.html").read_text(encoding="utf-8")
+        assert re.search(rf"<td><code>{name}</code></td>\s*<td><code>{value}</code></td>", text), name
+
+
+def test_pages_that_comments_name_are_there():
+    headings, missing = {}, []
+    files = [path for folder in ("src", "tests", "examples") for path in (TOP / folder).rglob("*.py")]
+    cited = {(name, words) for path in files for name, words in CITED.findall(path.read_text(encoding="utf-8"))}
+    assert len(cited) > 15
+    for name, words in sorted(cited):
+        path = TOP / name
+        if not path.is_file():
+            missing.append(name)
+            continue
+        headings[name] = headings.get(name) or re.findall(r"^#+ (.+)$", path.read_text(encoding="utf-8"), re.M)
+        section = " ".join(words.split())
+        if section and "/method/" in name and section not in headings[name]:
+            missing.append(f"{name}, {section}")
+    assert missing == []
+
+
+CITED = re.compile(r'(docs/[\w/-]+\.md)(?:,\s+"([^"]+)")?')
+
+
+def test_the_drawing_of_the_packages_is_what_they_import():
+    specification = importlib.util.spec_from_file_location("drawings", DOCS / "tools" / "drawings.py")
+    tool = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(tool)
+    assert (DOCS / "images" / "packages.svg").read_text(encoding="utf-8") == tool.draw_packages(), "python docs/tools/drawings.py"
 
 
 def test_the_site_shows_the_real_help(site, capsys):
@@ -121,7 +187,7 @@ def test_every_sentence_on_cameras_is_explained():
 
 
 def test_no_image_is_left_over():
-    pages = "".join(path.read_text(encoding="utf-8") for path in [*DOCS.glob("*.md"), TOP / "README.md"])
+    pages = "".join(path.read_text(encoding="utf-8") for path in [*DOCS.rglob("*.md"), TOP / "README.md"])
     assert [path.name for path in (DOCS / "images").iterdir() if path.name not in pages] == []
 
 

@@ -110,7 +110,7 @@ def test_affine_flow_matches_monte_carlo_of_a_rotating_gaussian(angle):
 
 
 def test_affine_beats_mean_on_few_large_rotating_gaussians():
-    """The paper says that splatting cannot render the rotational part; affine flow does (docs/method.md, "Affine flow")."""
+    """The paper says that splatting cannot render the rotational part; affine flow does (docs/method/flow.md, "Affine flow")."""
     config = ModelConfig(mean_poly=1, mean_fourier=0, quat_poly=1, quat_fourier=0, sh_degree=0)
     view, dt, spin = camera(), 0.04, np.array([0.0, 0.0, 6.0])
     rng = np.random.default_rng(1)

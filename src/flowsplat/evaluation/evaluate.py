@@ -1,5 +1,5 @@
-"""A model and its scene to figures: held-out frames and views, training frames, baselines, flow and depth (docs/method.md,
-"Evaluation protocols").
+"""A model and its scene to figures: held-out frames and views, training frames, baselines, flow and depth
+(docs/method/evaluation.md).
 
 The keys of ``metrics.json``. Every number is finite; what could not be measured is null:
 

@@ -1,6 +1,6 @@
 """Measure how far an image, a flow or a depth is from the truth: pure functions on NumPy arrays, computed in float64.
 
-Region metrics (docs/method.md, "Evaluation protocols") average inside a mask. A region too small to say anything gives None, never
+Region metrics (docs/method/evaluation.md) average inside a mask. A region too small to say anything gives None, never
 NaN.
 """
 
@@ -18,7 +18,7 @@ MAX_PSNR = 100.0
 """dB; identical images get this instead of infinity, so that means and JSON stay finite."""
 
 SSIM_WINDOW, SSIM_SIGMA = 11, 1.5
-"""Side in pixels and standard deviation of the window of SSIM, as in Wang et al. 2004 (docs/method.md, "Evaluation protocols")."""
+"""Side in pixels and standard deviation of the window of SSIM, as in Wang et al. 2004 (docs/method/evaluation.md)."""
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
 """The constants of SSIM, (0.01 L)^2 and (0.03 L)^2 for values up to L = 1, as in Wang et al. 2004."""
 

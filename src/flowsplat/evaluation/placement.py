@@ -1,4 +1,4 @@
-"""Place a held-out view in a scene whose cameras were estimated (docs/method.md, "Evaluation protocols")."""
+"""Place a held-out view in a scene whose cameras were estimated (docs/method/evaluation.md)."""
 
 from __future__ import annotations
 

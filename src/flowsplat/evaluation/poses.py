@@ -1,7 +1,7 @@
 """Refine the pose of a held-out image by comparing the image with a model that stays as it is.
 
 Strict figures use the camera that the camera stage found. Half a pixel of shift costs a good image several decibels
-(docs/method.md, "Evaluation protocols"),
+(docs/method/evaluation.md),
 so figures with the pose of the held-out image alone refined tell what is the cameras' fault. They are never the headline.
 """
 

@@ -20,7 +20,7 @@ def track_errors(model: SceneModel, scene: Scene, births: np.ndarray | None = No
     """Follow every true point from the pixel where it is seen, and compare its path with the true one.
 
     Errors are distances over the point's true depth, in percent, both in the axes of the camera of the same time, so that they
-    mean the same with estimated cameras (docs/method.md, "Evaluation protocols"); these get one scale for the clip. Compared are
+    mean the same with estimated cameras (docs/method/evaluation.md); these get one scale for the clip. Compared are
     the ``TRACK_SPAN`` frames after
     the query, or before it where the clip ends sooner and there are more, in which the true point is visible.
 

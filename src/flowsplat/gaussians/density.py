@@ -1,5 +1,5 @@
-"""Density control: pure functions from Gaussians and their statistics to new Gaussians and an index map (docs/method.md,
-"Training")."""
+"""Density control: pure functions from Gaussians and their statistics to new Gaussians and an index map
+(docs/method/training.md)."""
 
 from __future__ import annotations
 

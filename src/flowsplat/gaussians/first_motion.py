@@ -21,26 +21,28 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 NODE_SPACING, MIN_NODE_SPACING = 0.0125, 4.5
-"""Widths of the image between two nodes, and pixels at least (docs/method.md, "Initialization")."""
+"""Widths of the image between two nodes, and pixels at least (docs/method/training.md, "Initialization")."""
 NEIGHBORHOOD_SIGMA = 1.5
 """Standard deviation, in gaps between nodes, of how far around a node pixels count. Chosen by eye."""
 NODE_NEIGHBORS = 48
-"""Pixels that are asked at a node (docs/method.md, "Initialization")."""
+"""Pixels that are asked at a node (docs/method/training.md, "Initialization")."""
 PIXELS_PER_GAP = 3
 """As many pixels in a gap between two nodes are followed, beside those whose motion is wanted. Chosen by eye."""
 CANDIDATE_NODES, PIXELS_AT_A_TIME = 8, 20_000
-"""Nodes among which a pixel chooses, and how many pixels do so at a time, for the memory (docs/method.md, "Initialization")."""
+"""Nodes among which a pixel chooses, and how many pixels do so at a time, for the memory (docs/method/training.md,
+"Initialization")."""
 COLOR_SIGMA, MAX_COLOR_DISTANCE = 30.0, 9.0
 """Gray levels by which colors of one part differ, and the square, in these, beyond which it makes no difference. Chosen by eye."""
 PATH_SIGMA, MAX_PATH_DISTANCE = 0.5, 50.0
 """The same of paths, in pixels. Chosen by eye."""
 REWEIGHTINGS = 4
-"""Of reweighting (docs/method.md, "Initialization")."""
+"""Of reweighting (docs/method/training.md, "Initialization")."""
 PRESENCE_SIGMA = 0.8
-"""Standard deviation, in those of the presence, of how much a time counts that is so far off (docs/method.md, "Initialization")."""
+"""Standard deviation, in those of the presence, of how much a time counts that is so far off (docs/method/training.md,
+"Initialization")."""
 CONFIDENCE_POWER, MIN_FLOW_CONFIDENCE = 2.0, 1e-3
 """Flow that does not come back counts this power of its confidence, where that is not less than the second number: it is often
-right, and the neighbors judge (docs/method.md, "Initialization")."""
+right, and the neighbors judge (docs/method/training.md, "Initialization")."""
 TIME_RIDGE, GRADIENT_RIDGE = 1e-3, 1e-1
 """Of the first order in time, in shares of what the observations weigh: ten times as much for every further order. Chosen by eye.
 """

@@ -71,7 +71,7 @@ def _list_dynamic_names(config: ModelConfig) -> tuple[str, ...]:
 
 @dataclass
 class Gaussians4D:
-    """N Gaussians: a dict of tensors by the names of docs/method.md, "Representation", [N, ...] each, which of them are dynamic,
+    """N Gaussians: a dict of tensors by the names of docs/method/representation.md, [N, ...] each, which of them are dynamic,
     and whose they are.
 
     Attributes:

@@ -1,4 +1,5 @@
-"""The first Gaussians: from the pixels and tracks of the training frames, or at random (docs/method.md, "Initialization")."""
+"""The first Gaussians: from the pixels and tracks of the training frames, or at random (docs/method/training.md,
+"Initialization")."""
 
 from __future__ import annotations
 
@@ -343,8 +344,7 @@ def _track_pixels(tracks: Tracks | None, frame: Observation, usable: np.ndarray)
 
 
 def _random(observations: Observations, rng: np.random.Generator, count: int) -> _First:
-    """Uniform in the box of the training frusta between 0.3 and 3 median depths, at uniform times (docs/method.md,
-    "Initialization")."""
+    """Uniform in the box of the training frusta between 0.3 and 3 median depths, at uniform times (docs/method/training.md)."""
     corners = []
     for frame in observations.frames:
         w, h = frame.camera.width, frame.camera.height

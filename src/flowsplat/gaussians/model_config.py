@@ -19,7 +19,7 @@ MOTION_MODELS: Registry[Callable[..., Any]] = Registry("motion model", "flowspla
 @bounds_in_help
 @dataclass(frozen=True)
 class ModelConfig:
-    """What one Gaussian is made of (docs/method.md, "Representation")."""
+    """What one Gaussian is made of (docs/method/representation.md)."""
 
     kind: Annotated[str, MOTION_MODELS.option()] = "series"
     """Motion model."""

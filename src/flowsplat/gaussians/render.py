@@ -23,7 +23,7 @@ from flowsplat.splatting.rules import EPS2D
 
 FILLED_FROM, FILLED_TO = 0.5, 0.9
 """Transmittance from which the color of the neighbors is added to a pixel, and from which on all of it. Chosen on bear, train and
-workshop (docs/method.md, "Where preset `default` differs from the paper"; docs/results.md)."""
+workshop (docs/method/representation.md; docs/results.md)."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def render_active(
         active: which of them.
         camera: in normalized coordinates.
         flow_to: the other camera and clip time that flow goes to.
-        flow_model: which of docs/method.md, "Flow splatting".
+        flow_model: which of docs/method/flow.md, "Flow splatting".
         gradients: where the gradients of the parameters go (``slice_gaussians``); None = not differentiable.
         eps2d: px^2 of blur; affine flow reckons with that of training.
         backend: of the rasterizer.
@@ -126,7 +126,7 @@ def render(
         camera: in normalized coordinates; its size is the image's size.
         t: clip time, 0 at the first frame and 1 at the last; any number of Python, NumPy or torch.
         flow_to: the other (camera, clip time) that optical flow goes to; None = none is rendered.
-        flow_model: which of docs/method.md, "Flow splatting".
+        flow_model: which of docs/method/flow.md, "Flow splatting".
         eps2d: px^2 of blur.
         backend: of the rasterizer.
         distances: of objects that are not where they were trained.
@@ -153,8 +153,8 @@ def fill_uncovered(color: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
     Borders that no training frame saw would be black otherwise (1.8 dB on the views of a rendered scene). Training has a black
     background and shows it through whatever is dark: such pixels are covered and must not get brighter, which cost .5 dB on
-    a clip of a dark bear. So filling only begins at a transmittance that hardly any dark surface has (docs/method.md, "Where preset
-    default differs from the paper").
+    a clip of a dark bear. So filling only begins at a transmittance that hardly any dark surface has
+    (docs/method/representation.md).
 
     Args:
         color: [H, W, 3] float32 premultiplied.

@@ -1,4 +1,4 @@
-"""The background as it looks without the objects' shadows (docs/method.md, "Where preset default differs from the paper").
+"""The background as it looks without the objects' shadows (docs/method/representation.md).
 
 A shadow moves with what throws it and belongs to no mask. In a trained scene it is brightness in time of the background
 (``log_gains``). Where a still surface is seen in some frames with an object near it and in others without, the others tell how
@@ -22,33 +22,31 @@ from flowsplat.geometry import Camera
 
 NEAR_OBJECT_SIZES = 3.0
 """Sizes of an object (square root of its area in the image) from its mask within which its shadow may fall
-(docs/method.md, "Where preset `default` differs from the paper")."""
+(docs/method/representation.md)."""
 
 MIN_CLEAR_FRAMES = 3
-"""Frames without an object near that must show a surface (docs/method.md, "Where preset `default` differs from the paper")."""
+"""Frames without an object near that must show a surface (docs/method/representation.md)."""
 
 OWN_BRIGHTNESS_QUANTILE = 0.5
-"""Of these frames' brightness the share below that which a surface has by itself (docs/method.md, "Where preset `default` differs
-from the paper")."""
+"""Of these frames' brightness the share below that which a surface has by itself (docs/method/representation.md)."""
 
 FEW_FRAMES, FEW_FRAMES_QUANTILE = 8, 0.8
 """Where there are fewer: frames that must show it, and the share of their brightness below that which it has by itself
-(docs/method.md, "Where preset `default` differs from the paper")."""
+(docs/method/representation.md)."""
 
 FEW_FRAMES_DARKENING = 0.15
-"""As ``MIN_LOG_DARKENING``, there (docs/method.md, "Where preset `default` differs from the paper")."""
+"""As ``MIN_LOG_DARKENING``, there (docs/method/representation.md)."""
 
 MIN_LOG_DARKENING = 0.03
-"""Logarithm of the brightness by which a surface must be darker beside objects, or it is left as it is (docs/method.md, "Where
-preset `default` differs from the paper")."""
+"""Logarithm of the brightness by which a surface must be darker beside objects, or it is left as it is
+(docs/method/representation.md)."""
 
 SHADOW_NEIGHBORS, NEIGHBOR_LIMITS = 16, 1.0
-"""Nearest Gaussians at rest, most of which must be darker by so many limits, too (docs/method.md, "Where preset `default` differs
-from the paper")."""
+"""Nearest Gaussians at rest, most of which must be darker by so many limits, too (docs/method/representation.md)."""
 
 MAX_DEPTH_JUMP, EDGE_FRAME_SHARE = 0.05, 0.5
 """Share of its depth by which a pixel is off the plane around at an edge, and of the frames that see a surface there, from which
-nothing is told of it (docs/method.md, "Where preset `default` differs from the paper")."""
+nothing is told of it (docs/method/representation.md)."""
 
 GAIN_STIFFNESS = 1e-4
 """Weight of the squared gains, times that of their wave, against the squared errors of brightness. Chosen by eye."""

@@ -51,7 +51,8 @@ class Paths:
 def follow_points(model: SceneModel, cameras: Sequence[Camera], timestamps: np.ndarray, queries: np.ndarray) -> Paths:
     """Follow points of the image through the model. Ours; the paper shows no tracks.
 
-    The Gaussians that make up the pixel, by their weights alpha_i T_i (docs/method.md, "Compositing"), carry the point that is seen
+    The Gaussians that make up the pixel, by their weights alpha_i T_i (docs/method/flow.md, "Compositing"), carry the point that
+    is seen
     there along
     their own rigid motion, objects or background, whichever holds more of it. A Gaussian carries while its presence is at
     least ``p_min``; when half of the weight has faded, those take over that are present where the point is.

@@ -23,18 +23,18 @@ from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import unproject_depth
 
 ASKED_FRAMES = 32
-"""Frames of the clip that are asked, evenly over it (docs/method.md, "Evaluation protocols")."""
+"""Frames of the clip that are asked, evenly over it (docs/method/evaluation.md)."""
 SMALL_WIDTH = 160
 """Pixels of width of the images that are looked at. Chosen by eye."""
 _MIN_ALPHA = 0.5
 """Alpha from which something is there. Chosen by eye."""
 _SURFACE_TOLERANCE = 0.05
-"""Share of its distance by which a point may lie behind the surface that a frame sees (docs/method.md, "Evaluation protocols")."""
+"""Share of its distance by which a point may lie behind the surface that a frame sees (docs/method/evaluation.md)."""
 _MIN_SPREAD = 1e-6
 """Spread of directions, at least, so that a division stays finite."""
 _MIN_DISTANCE_SHARE = 0.5
 """Share of the distance of the nearest object from the clip's camera, below which a camera is too close to one
-(docs/method.md, "Evaluation protocols")."""
+(docs/method/evaluation.md)."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""psi and its Jacobian in torch, differentiable (docs/method.md, "Conventions")."""
+"""psi and its Jacobian in torch, differentiable (docs/method/index.md)."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def align_paths(estimated: Sequence[Camera], true: Sequence[Camera]) -> Similari
     """Return the similarity that brings the estimated path onto the true one.
 
     Rotations first (their chordal mean), then scale and translation by least squares: on a nearly straight path the
-    rotation about it cannot be seen from the positions (docs/method.md, "Evaluation protocols"). A path without extent keeps scale
+    rotation about it cannot be seen from the positions (docs/method/evaluation.md). A path without extent keeps scale
     1.
     """
     M = sum(t.viewmat[:3, :3].T @ e.viewmat[:3, :3] for e, t in zip(estimated, true, strict=True))

@@ -53,7 +53,7 @@ def preset(name: str) -> RunConfig:
     """Return the settings called ``name``.
 
     ``fast``: half size, 300 steps and no final fit, about two minutes: does this clip work at all? ``default``: the best
-    within minutes. ``paper``: the paper's settings (docs/method.md, "Training"). ``high``: Gaussians closer together and five times
+    within minutes. ``paper``: the paper's settings (docs/method/training.md). ``high``: Gaussians closer together and five times
     as many steps, which is about ten times the training of ``default``.
 
     Raises:

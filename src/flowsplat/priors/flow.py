@@ -20,7 +20,7 @@ MIN_SIDE = 64
 
 FINE_PATCH, FINE_STEP, FINE_DESCENTS, FINE_ROUNDS = 5, 2, 24, 3
 """Of the fine search: side of a patch and distance between patches in pixels, steps of descent for a patch, and rounds of
-variational refinement (docs/method.md, "Flow, masks and depth")."""
+variational refinement (docs/method/flow.md)."""
 
 
 def gray(image: np.ndarray) -> np.ndarray:

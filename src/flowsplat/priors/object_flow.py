@@ -19,8 +19,7 @@ from flowsplat.priors.flow import dis_flow, forward_backward_confidence, gray, l
 from flowsplat.scenes import Flow, Scene
 
 MIN_TRUSTED_SHARE = 0.95
-"""Share of the objects' pixels with trusted flow, both ways, from which it is good enough (docs/method.md, "Flow, masks and
-depth")."""
+"""Share of the objects' pixels with trusted flow, both ways, from which it is good enough (docs/method/flow.md)."""
 SEARCH_MARGIN = 48
 """Pixels around the objects of two frames that are searched with them. Chosen by eye."""
 REST_GRAY = 127
@@ -33,7 +32,7 @@ ROUND_TRIP_DIFFERENCE, MAX_ROUND_TRIP_LIMITS = 3.0, 4.0
 """The same of a round trip that misses by its limit (``forward_backward_confidence``), and by how many limits it counts at most.
 Chosen by eye."""
 WINDOW_SIGMA = 2.0
-"""Standard deviation in pixels of the window over which flows are compared (docs/method.md, "Flow, masks and depth")."""
+"""Standard deviation in pixels of the window over which flows are compared (docs/method/flow.md)."""
 
 
 def object_flow_stage(scene: Scene, kept: Collection[tuple[int, int]] = ()) -> None:

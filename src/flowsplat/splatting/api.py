@@ -215,7 +215,7 @@ def rasterize(
     eps2d: float = EPS2D,
     backend: BackendName = "auto",
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    """Splat N Gaussians with C feature channels into an image (docs/method.md, "Compositing"), differentiable in everything.
+    """Splat N Gaussians with C feature channels into an image (docs/method/flow.md, "Compositing"), differentiable in everything.
 
     Tensors are of one float type and on one device. NumPy arrays are taken in their place, as float32 where all are arrays.
 

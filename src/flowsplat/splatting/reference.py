@@ -85,7 +85,7 @@ def blend(
     absolute: Tensor | None = None,  # [N, 2]
     slopes: Tensor | None = None,  # [N, 2]
 ) -> tuple[Tensor, Tensor]:
-    """Alpha compositing front to back: features [H, W, C] and alphas [H, W] (docs/method.md, "Compositing").
+    """Alpha compositing front to back: features [H, W, C] and alphas [H, W] (docs/method/flow.md, "Compositing").
 
     ``slopes``: as in ``api.blend``. Backward adds to ``absolute`` the sum over pixels of the absolute gradient of means2d.
     """

@@ -1,17 +1,17 @@
-"""The numbers that the oracle and every backend share (docs/method.md, "Compositing")."""
+"""The numbers that the oracle and every backend share (docs/method/flow.md, "Compositing")."""
 
 from flowsplat.geometry import projection
 
 ALPHA_MIN = 1.0 / 255.0
-"""A Gaussian is skipped at a pixel below this alpha (docs/method.md, "Flow splatting")."""
+"""A Gaussian is skipped at a pixel below this alpha (docs/method/flow.md, "Flow splatting")."""
 ALPHA_MAX = 0.999
-"""Alpha is clamped here, and has no gradient where it is (docs/method.md, "Flow splatting")."""
+"""Alpha is clamped here, and has no gradient where it is (docs/method/flow.md, "Flow splatting")."""
 TRANSMITTANCE_MIN = 1e-4
-"""A Gaussian that would bring a pixel's transmittance to this or below is not drawn (docs/method.md, "Flow splatting")."""
+"""A Gaussian that would bring a pixel's transmittance to this or below is not drawn (docs/method/flow.md, "Flow splatting")."""
 FOOTPRINT_NEAR_PLANE = 0.05
 """Planar depth (median depth = 1) below which a footprint is taken as it is here. Chosen by eye."""
 EPS2D = 0.3
-"""px^2 added to the diagonal of every 2D covariance (docs/method.md, "Flow splatting")."""
+"""px^2 added to the diagonal of every 2D covariance (docs/method/flow.md, "Flow splatting")."""
 NEAR_PLANE, FAR_PLANE = 0.01, 1e10
 """Planar depths between which Gaussians are drawn where nothing else is asked for, as in gsplat."""
 TANGENT_MARGIN = projection.TANGENT_MARGIN  # image sizes beyond the border where tangents of Jacobians are clamped

@@ -20,7 +20,7 @@ def adapt_to_length(config: TrainConfig, frames: int) -> TrainConfig:
 
     Each frame of a long clip is drawn as often as each of one of ``FULL_FRAMES``: steps, and the rounds of density control, which
     have to see every frame, are as many times more. Brightness and motion have as many frequencies and knots a second, and learn as
-    fast in seconds (docs/method.md, "Training").
+    fast in seconds (docs/method/training.md).
     """
     if frames <= FULL_FRAMES or not config.adapt_to_length:
         return config

@@ -78,7 +78,7 @@ class RatesConfig:
 @dataclass(frozen=True)
 @add_weights
 class LossConfig:
-    """Weights of the losses (docs/method.md, "Training")."""
+    """Weights of the losses (docs/method/training.md)."""
 
     ssim: Share = 0.2
     """gamma_1: share of SSIM in the color loss."""
@@ -112,7 +112,7 @@ class LossConfig:
 @bounds_in_help
 @dataclass(frozen=True)
 class DensityConfig:
-    """When Gaussians are added, removed, reset, and when background becomes dynamic (docs/method.md, "Training")."""
+    """When Gaussians are added, removed, reset, and when background becomes dynamic (docs/method/training.md)."""
 
     every: Count = 100
     """Steps between two rounds."""
@@ -175,7 +175,7 @@ class TrainConfig:
     """Of the frames in a round: random, or so that those of steps that follow each other lie far apart. What moves is seen in a few
     neighboring frames, and so is stepped at even intervals."""
     flow_model: FlowModel = "displacement"
-    """How flow is splatted: ``mean`` (the paper), ``displacement`` or ``affine`` (docs/method.md, section 3)."""
+    """How flow is splatted: ``mean`` (the paper), ``displacement`` or ``affine`` (docs/method/flow.md)."""
     average: Share = 0.2
     """The result is the mean over this share of the steps, the last ones; 0 = what the last step led to."""
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1), tyro.conf.arg(aliases=("--seed",))] = 0

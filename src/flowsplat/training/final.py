@@ -19,14 +19,13 @@ fit is")."""
 MAX_FINAL_FIT_SHARE = 0.25
 """Of the steps of the training, those of the final fit at most. Chosen by eye."""
 FIRST_RATES = 0.8
-"""Where in their fall from the beginning to the end of a training the rates of the final fit begin (docs/method.md, "The final
-fit")."""
+"""Where in their fall from the beginning to the end of a training the rates of the final fit begin (docs/method/training.md)."""
 AVERAGED_SHARE = 0.5
 """Of the steps with which a trained scene goes on, the share over which the result is the mean, where training has such a mean
-(docs/method.md, "Training")."""
+(docs/method/training.md)."""
 NEIGHBOR_VISITS = 2
 """How often a training frame beside a held-out one is drawn where others are drawn once: what is fitted to a frame is seen in the
-frames beside it, too, and they would lose what the held-out frame gains (docs/method.md, "Training")."""
+frames beside it, too, and they would lose what the held-out frame gains (docs/method/training.md)."""
 
 
 def count_final_steps(iterations: int, heldout: int) -> int:

@@ -10,7 +10,7 @@ from flowsplat.training.final import continuation_config
 
 ONE_COLOR_FIT_SHARE = 0.15
 """Steps of the fit, as a share of those of the training: of .03, .075 and .15 the best on camel, and a sixth of its time
-(docs/method.md, "Brightness slopes")."""
+(docs/method/representation.md, "Brightness slopes")."""
 FIRST_RATES = 0.3
 """Where in their fall from the beginning to the end of a training its rates begin. Chosen by eye."""
 

@@ -1,5 +1,4 @@
-"""Which Gaussians a scene can do without: those without which its training frames change least (docs/method.md, "Gaussians that are
-needed")."""
+"""Which Gaussians a scene can do without: those without which its training frames change least (docs/method/training.md)."""
 
 from __future__ import annotations
 

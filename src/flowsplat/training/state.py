@@ -21,7 +21,7 @@ from flowsplat.training.weight_averaging import TailAverage
 
 MAX_ALONE_SHARE = 0.01
 """Share of the dynamic Gaussians that may be without neighbors until the next search, which takes as long as tens of steps
-(docs/method.md, "Where preset `default` differs from the paper")."""
+(docs/method/training.md)."""
 
 
 @dataclass

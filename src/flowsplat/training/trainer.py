@@ -1,4 +1,4 @@
-"""The training loop (docs/method.md, "Training")."""
+"""The training loop (docs/method/training.md)."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 AVERAGE_STRIDE = 10
-"""Steps between two that count; the last one does (docs/method.md, "Where preset `default` differs from the paper")."""
+"""Steps between two that count; the last one does (docs/method/training.md)."""
 
 
 class TailAverage:

@@ -1,4 +1,4 @@
-"""Whole runs over many scenes under a fixed protocol (docs/method.md, "Evaluation protocols"): DAVIS, rendered rig scenes, NVIDIA
+"""Whole runs over many scenes under a fixed protocol (docs/method/evaluation.md): DAVIS, rendered rig scenes, NVIDIA
 Dynamic Scenes, DyCheck."""
 
 from flowsplat_benchmarks.datasets.benchmark import run_benchmark

@@ -10,14 +10,19 @@ import tyro
 from flowsplat.cli.command import Command
 
 
-def info(path: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")] = None) -> None:
+def info(path: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")] = None, licenses: bool = False) -> None:
     """What is in a run or a scene; versions; which backends work here, and why the others do not.
 
     Args:
         path: Folder of a run or a scene; without it only versions and backends are shown.
+        licenses: List the license of every package that is installed because flowsplat needs it, and nothing else.
     """
+    from flowsplat.common.licenses import list_licenses
     from flowsplat.pipeline.describe import describe
 
+    if licenses:
+        print(*(f"{each.name} {each.version}: {each.license}" for each in list_licenses()), sep="\n")
+        return
     print(*describe(path), sep="\n")
 
 

@@ -1,4 +1,4 @@
-"""The flow models in plain torch (docs/method.md, "Flow splatting"); for the displacement the oracle of ``cpu``."""
+"""The flow models in plain torch (docs/method/flow.md, "Flow splatting"); for the displacement the oracle of ``cpu``."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def flow_features(
 def affine_gradient(
     sliced: Slice, viewmat: Tensor, K: Tensor, next_viewmat: Tensor, next_K: Tensor, width: int, height: int
 ) -> Tensor:
-    """B = (J_j M - J_i) G [A, 2, 2]: how the flow varies inside each Gaussian (docs/method.md, "Affine flow", ours).
+    """B = (J_j M - J_i) G [A, 2, 2]: how the flow varies inside each Gaussian (docs/method/flow.md, "Affine flow", ours).
 
     G maps an offset in the image to the most likely offset in the Gaussian, under the blur that the rasterizer draws with.
     """

@@ -1,4 +1,4 @@
-"""Motion models: how a Gaussian's mean and covariance depend on time (docs/method.md, "Representation").
+"""Motion models: how a Gaussian's mean and covariance depend on time (docs/method/representation.md).
 
 A module here, or one of another package with an entry point ``flowsplat.motion_models``, registers one. ``protocol`` says what
 every model offers, ``series`` is polynomial + Fourier (the paper's), ``linear`` the 4D Gaussian of 4DGS (the "vanilla"

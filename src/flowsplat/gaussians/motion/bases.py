@@ -1,4 +1,5 @@
-"""A few rigid motions that all Gaussians blend, those of Shape of Motion (docs/method.md, "Motion models of others")."""
+"""A few rigid motions that all Gaussians blend, those of Shape of Motion (docs/method/representation.md, "Motion models of
+others")."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A network of place and time, that of Deformable 3D Gaussians (docs/method.md, "Motion models of others")."""
+"""A network of place and time, that of Deformable 3D Gaussians (docs/method/representation.md, "Motion models of others")."""
 
 from __future__ import annotations
 

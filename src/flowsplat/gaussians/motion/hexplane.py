@@ -1,4 +1,4 @@
-"""Six planes of features with a small decoder, those of 4D Gaussians (docs/method.md, "Motion models of others")."""
+"""Six planes of features with a small decoder, those of 4D Gaussians (docs/method/representation.md, "Motion models of others")."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The linear 4D Gaussian of 4DGS: a 4D normal distribution, cut at a time (docs/method.md, "Representation")."""
+"""The linear 4D Gaussian of 4DGS: a 4D normal distribution, cut at a time (docs/method/representation.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Round Gaussians with a trajectory each, those of Dynamic Gaussian Marbles (docs/method.md, "Motion models of others")."""
+"""Round Gaussians with a trajectory each, those of Dynamic Gaussian Marbles (docs/method/representation.md, "Motion models of
+others")."""
 
 from __future__ import annotations
 

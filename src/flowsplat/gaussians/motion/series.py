@@ -1,4 +1,4 @@
-"""Polynomial + Fourier series, the paper's motion (docs/method.md, "Representation")."""
+"""Polynomial + Fourier series, the paper's motion (docs/method/representation.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Cubic B-splines of the mean and the rotation, the motion of SplineGS (docs/method.md, "Motion models of others")."""
+"""Cubic B-splines of the mean and the rotation, the motion of SplineGS (docs/method/representation.md, "Motion models of
+others")."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ from flowsplat.gaussians.motion.rigid import RigidMotion
 class SplineMotion(RigidMotion):
     """mu(t) = mean + S(t) - S(mu_t), with S a uniform cubic B-spline of each Gaussian over the clip; q(t) of the same form.
 
-    SplineGS: Robust Motion-Adaptive Spline for Real-Time Dynamic 3D Gaussians from Monocular Video, https://arxiv.org/abs/2412.09982.
+    SplineGS: Robust Motion-Adaptive Spline for Real-Time Dynamic 3D Gaussians from Monocular Video,
+    https://arxiv.org/abs/2412.09982.
     There every Gaussian loses control points that it can do without; here all have as many, so that they are rows of one tensor.
     """
 

@@ -1,4 +1,4 @@
-"""The oracle of slicing, in plain torch (docs/method.md, "Representation")."""
+"""The oracle of slicing, in plain torch (docs/method/representation.md)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from flowsplat.splatting.harmonics import colors_from_harmonics
 
 
 def time_gains(log_gains: Tensor, t: float) -> Tensor:
-    """Brightness in time exp(sum_k g_k cos(pi k t)) [N] from [N, G]. Ours, background only (docs/method.md, "Representation")."""
+    """Brightness in time exp(sum_k g_k cos(pi k t)) [N] from [N, G]. Ours, background only (docs/method/representation.md)."""
     cosines = [math.cos(math.pi * k * t) for k in range(1, log_gains.shape[1] + 1)]
     return torch.exp(log_gains @ log_gains.new_tensor(cosines))
 

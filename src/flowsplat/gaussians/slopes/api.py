@@ -13,7 +13,7 @@ from flowsplat.splatting import Projected
 
 def image_slopes(sliced: Slice, projected: Projected, camera: Camera) -> Tensor | None:
     """Return [A, 2] by how much the Gaussians get brighter a pixel to the right and a pixel down of their centers; None where they
-    have no slopes (docs/method.md, "Brightness slopes", ours).
+    have no slopes (docs/method/representation.md, "Brightness slopes", ours).
 
     Differentiable in the slopes alone: what turns them into those of the image counts as constant. With its gradients training is
     slower and no better.

@@ -30,7 +30,7 @@ def about_parameters(model: SceneModel) -> dict[str, Any]:
 
 
 def parameter_tensors(model: SceneModel) -> dict[str, Tensor]:
-    """Return the arrays, by the names of docs/method.md."""
+    """Return the arrays, by the names of docs/method/representation.md."""
     gaussians = model.gaussians
     seen = {} if gaussians.seen is None else {"seen": gaussians.seen}
     return {**gaussians.values, "dynamic": gaussians.dynamic, "object_ids": gaussians.object_ids, **seen}

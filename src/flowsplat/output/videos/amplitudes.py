@@ -22,20 +22,20 @@ from flowsplat.priors.objects.areas import large_objects
 from flowsplat.scenes import Scene
 
 SWING_ANGLES = (3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0)
-"""Degrees to choose from; the first where none is good (docs/method.md, "Evaluation protocols")."""
+"""Degrees to choose from; the first where none is good (docs/method/evaluation.md)."""
 DOLLY_FACTORS = (1.1, 1.2, 1.3, 1.4, 1.5)
-"""Factors of the distance to choose from, likewise (docs/method.md, "Evaluation protocols")."""
+"""Factors of the distance to choose from, likewise (docs/method/evaluation.md)."""
 MAX_OBJECT_ERROR = 0.02
 """Share of the width of the image by which the largest objects may stand beside their place, by one standard deviation
-(docs/method.md, "Evaluation protocols")."""
+(docs/method/evaluation.md)."""
 MAX_UNKNOWN_SHARE = 0.06
 """Share of the image, on average over a loop, that the clip does not tell, beyond what it does not tell of its own views
-(docs/method.md, "Evaluation protocols")."""
+(docs/method/evaluation.md)."""
 _PROBE_CAMERAS = 4
 """Cameras of a loop that are looked at: where it turns. Chosen by eye."""
 MAX_UNSEEN_SHARE = 0.03
 """Share of a view that no frame has seen, at most, as far as the page can be pulled aside; by the truth of the demo it is up to
-half as much again (docs/method.md, "Evaluation protocols")."""
+half as much again (docs/method/evaluation.md)."""
 PULL_DIRECTIONS = 8
 """Directions of pulling that are measured, evenly from the left over upwards. Chosen by eye."""
 PULL_RANGE = (0.2, 1.15)

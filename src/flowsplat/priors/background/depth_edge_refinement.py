@@ -37,19 +37,18 @@ from flowsplat.priors.background.bits import pack
 from flowsplat.priors.background.matched_clip import MatchedClip
 
 FRAME_OFFSETS = (-16, -8, -4, 4, 8, 16)
-"""Training frames before and after that are asked (docs/method.md, "Flow, masks and depth")."""
+"""Training frames before and after that are asked (docs/method/depth.md)."""
 PROPOSAL_RADII = (4, 9, 15)
-"""Pixels from which the nearest and the farthest surface are proposed. Chosen on workshop and garden (docs/method.md, "Flow,
-masks and depth"; docs/results.md)."""
+"""Pixels from which the nearest and the farthest surface are proposed. Chosen on workshop and garden (docs/method/depth.md;
+docs/results.md)."""
 MIN_DEPTH_RANGE = 0.06
-"""Range of inverse depth within the last reach, as a share of it, from which a pixel is asked about (docs/method.md, "Flow, masks
-and depth")."""
+"""Range of inverse depth within the last reach, as a share of it, from which a pixel is asked about (docs/method/depth.md)."""
 REFINEMENT_ROUNDS = 2
-"""How often every edge is refined. docs/method.md, "Flow, masks and depth" has two."""
+"""How often every edge is refined. docs/method/depth.md has two."""
 MAX_COST_RATIO = 0.95
 """The depth that a pixel has stays, unless another has less than this share of its cost. Chosen by eye."""
 VOTE_RADIUS = 4
-"""Pixels to either side that vote (docs/method.md, "Flow, masks and depth")."""
+"""Pixels to either side that vote (docs/method/depth.md)."""
 VOTING_COLOR_SCALE = 20.0
 """Sum of the differences in red, green and blue at which a pixel's vote counts half. Chosen by eye."""
 _MAX_COLOR_DIFFERENCE, _MAX_GRADIENT_DIFFERENCE, _UNSEEN_COST = 60.0, 20.0, 60.0

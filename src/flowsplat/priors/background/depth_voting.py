@@ -17,9 +17,9 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.background.reprojection import reproject
 
 SURFACE_TOLERANCE = 0.02
-"""Share of the inverse depth by which two values of one surface differ at most (docs/method.md, "Flow, masks and depth")."""
+"""Share of the inverse depth by which two values of one surface differ at most (docs/method/depth.md)."""
 FARTHER_VOTE_SHARE = 0.8
-"""Share of the most votes that is enough for a surface that lies farther back (docs/method.md, "Flow, masks and depth")."""
+"""Share of the most votes that is enough for a surface that lies farther back (docs/method/depth.md)."""
 OWN_VOTES = 1.5
 """Votes of the frame itself, a little more than that of any other. Chosen by eye."""
 

@@ -19,7 +19,7 @@ from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import unproject_depth
 
 MAX_NORMAL_TILT = 35.0
-"""Degrees between the ground's normal and the mean upward direction of the cameras (docs/method.md, "Distance of objects")."""
+"""Degrees between the ground's normal and the mean upward direction of the cameras (docs/method/objects.md)."""
 MAX_SLOPE = 35.0
 """Degrees by which a surface may slope and still be ground. Chosen by eye."""
 PLANE_TOLERANCE = 0.012
@@ -35,10 +35,9 @@ MIN_PLANE_SHARE = 0.5
 """Share of what faces up that must lie near the plane for it to be taken on where nothing was seen: steps and terraces end.
 Chosen by eye."""
 CELL_SIZE = 0.015
-"""Side of a cell of the map, in units of the median depth of its points (docs/method.md, "Distance of objects")."""
+"""Side of a cell of the map, in units of the median depth of its points (docs/method/objects.md)."""
 MAX_CARRY_CELLS = 8
-"""Cells across which heights are carried to where nothing was seen: what an object always hides (docs/method.md, "Distance of
-objects")."""
+"""Cells across which heights are carried to where nothing was seen: what an object always hides (docs/method/objects.md)."""
 HEIGHT_PERCENTILE = 40
 """Percentile of the heights in a cell that counts: what stands on the ground is above it. Chosen by eye."""
 _PLANE_SAMPLES, _PLANE_TRIES, _PLANE_REFITS = 4000, 1500, 5

@@ -14,7 +14,7 @@ from flowsplat.scenes import Scene
 from flowsplat.scenes.overlay import hide_overlay
 
 FLOW_STRIDES = (1, 2, 4, 8, 16)
-"""Steps between training frames, each twice the one before (docs/method.md, "Flow, masks and depth")."""
+"""Steps between training frames, each twice the one before (docs/method/flow.md)."""
 
 
 def compute_working_size(scene: Scene) -> tuple[int, int]:

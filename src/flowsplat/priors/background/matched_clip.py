@@ -28,7 +28,7 @@ MAX_REST_NOISES = 3.0
 """Multiples of the noise up to which the matches of a pixel are those of a scene at rest. Chosen by eye."""
 
 MIN_SURE_SHARE = 0.03
-"""Share of pixels with sure depth from which a clip has parallax (docs/method.md, "Flow, masks and depth")."""
+"""Share of pixels with sure depth from which a clip has parallax (docs/method/masks.md)."""
 
 WEAK_PARALLAX, MIN_WEAK_SHARE = 2.0, 0.3
 """The same where all is less sure: 14 % per 0.2 pixels of noise, but known of so many pixels. Still far better than a guess: on a

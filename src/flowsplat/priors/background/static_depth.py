@@ -45,8 +45,7 @@ _MIN_KNOWN_SHARE = 1e-3
 
 CONFIRMING_FRAMES = 24
 """Frames, evenly over a piece of the clip, before whose static scene an object stands. The depth of frames far apart differs by
-some percent, and where an object were behind what one of them saw, it would make that vanish (docs/method.md, "Flow, masks and
-depth")."""
+some percent, and where an object were behind what one of them saw, it would make that vanish (docs/method/depth.md)."""
 
 _KEPT_FRAMES = 2 * PLATE_OFFSETS[-1] + 16 + CONFIRMING_FRAMES
 """Frames in memory: on a walk over the clip every one is asked for again until it lies behind the furthest neighbor."""

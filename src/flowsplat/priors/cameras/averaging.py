@@ -24,7 +24,7 @@ from flowsplat.priors.cameras.refinement import place_points, track_errors
 from flowsplat.priors.cameras.twoview import MIN_COMMON_TRACKS, essential, intrinsics
 
 FRAME_STRIDES = (1, 2, 3, 5, 8, 12, 20, 32)
-"""Distances in time of the frames that are compared (docs/method.md, "Cameras")."""
+"""Distances in time of the frames that are compared (docs/method/cameras.md)."""
 MIN_PURE_TURN_SHARE = 0.9
 """Share of the matches of an epipolar geometry that a mere turn must explain, so that the turn is taken. Chosen by eye."""
 MAX_TURN_ERROR = 1.5

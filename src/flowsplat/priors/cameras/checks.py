@@ -12,7 +12,7 @@ from flowsplat.priors.cameras.estimate import CameraEstimate
 UNCERTAIN_FOCAL = 0.05
 """Standard deviation of log focal from which the focal length counts as a guess. Chosen by eye."""
 LARGE_ERROR = 0.5
-"""Pixels of the working size from which the fit counts as poor (docs/method.md, "Evaluation protocols": half a pixel costs 3 dB).
+"""Pixels of the working size from which the fit counts as poor (docs/method/evaluation.md: half a pixel costs 3 dB).
 """
 MIN_PARALLAX = 0.5
 """Degrees below which depth from the camera's motion counts as uncertain. Chosen by eye."""

@@ -28,7 +28,7 @@ MAX_SUCCESSES = 3
 """Complete reconstructions after which the search ends. Chosen by eye."""
 SIMPLER_MISFIT_RATIO = 1.5
 """A simpler kind of motion is believed unless a richer one lowers the misfit by more than this factor
-(docs/method.md, "Cameras")."""
+(docs/method/cameras.md)."""
 NEGLIGIBLE_MISFIT = 0.04
 """A misfit that errors of a tenth of a pixel cause: below it no richer motion is tried."""
 FOCAL_TOLERANCE = 0.005

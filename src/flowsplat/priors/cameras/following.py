@@ -20,13 +20,13 @@ POINTS_AT_A_TIME = 2000
 MIN_FLOW_SIDE = 100
 """Pixels of the shorter side down to which images are halved for the flow that predicts where points went. Chosen by eye."""
 PATCH_SIDE = 15
-"""Side of the square of pixels that is compared round a point: large, because precision decides (docs/method.md, "Cameras")."""
+"""Side of the square of pixels that is compared round a point: large, because precision decides (docs/method/cameras.md)."""
 MIN_SIMILARITY = 0.6
 """Structural similarity from which a point's surroundings are still those of the frame that they were cut from. Chosen by eye."""
 MAX_DISAGREEMENT = 1.0
 """Pixels between both answers, from frame to frame and from those surroundings, up to which they are the same. Chosen by eye."""
 MAX_PATCH_AGE = 20
-"""Frames after which a point's surroundings are cut anew (docs/method.md, "Cameras")."""
+"""Frames after which a point's surroundings are cut anew (docs/method/cameras.md)."""
 
 
 class _Surroundings:

@@ -12,9 +12,9 @@ from flowsplat.priors.cameras.bundle import MIN_DEPTH, Reconstruction
 from flowsplat.priors.cameras.refinement import track_errors, with_points
 
 MAX_JOINT_FRAMES = 120
-"""Frames up to which all of them are adjusted together (docs/method.md, "Cameras")."""
+"""Frames up to which all of them are adjusted together (docs/method/cameras.md)."""
 MAX_SEARCHED_FRAMES = 48
-"""Frames up to which a search for the right start looks at all of them (docs/method.md, "Cameras")."""
+"""Frames up to which a search for the right start looks at all of them (docs/method/cameras.md)."""
 MAX_SEARCH_GAP = 4
 """Frames between two keyframes of a search, at most. Chosen by eye."""
 KEYFRAME_OVERLAPS = (0.7, 0.55, 0.4)

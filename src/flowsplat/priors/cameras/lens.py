@@ -15,9 +15,9 @@ from flowsplat.priors.cameras.selection import choose_tracks
 TRACKS_PER_CELL = 20
 """About how many tracks of a cell of the image tell the distortion. Chosen by eye."""
 MIN_DISTORTION_SIGMAS = 3.0
-"""Standard deviations by which the distortion must differ from none to be taken out (docs/method.md, "Cameras")."""
+"""Standard deviations by which the distortion must differ from none to be taken out (docs/method/cameras.md)."""
 MIN_BORDER_SHIFT = 0.3
-"""Pixels of the border below which a distortion is not worth resampling the images for (docs/method.md, "Cameras")."""
+"""Pixels of the border below which a distortion is not worth resampling the images for (docs/method/cameras.md)."""
 
 
 def radial_lens(focal: float, k1: float, width: float, height: float) -> Lens:

@@ -22,7 +22,7 @@ ROUGH_TOLERANCE = 1e-4
 """The same of all rounds before the last. Chosen by eye."""
 MAX_ITERATIONS, MAX_LENS_ITERATIONS = 40, 150
 """Of an adjustment at most, and of one that finds the distortion of the lens: with a longer lens in its place nearly all of it
-can be explained, and the way back is narrow (docs/method.md, "Cameras")."""
+can be explained, and the way back is narrow (docs/method/cameras.md)."""
 ERROR_UNIT = 0.5
 """Pixels; errors well beyond it add little to the robust cost by which cameras are compared. Chosen by eye."""
 MAX_ERROR = 20 * ERROR_UNIT

@@ -20,7 +20,7 @@ from flowsplat.priors.cameras.refinement import best_tracks, from_middle, robust
 from flowsplat.priors.cameras.selection import on_rim
 
 JUDGE_STRIDE = 8
-"""Every how many of the longer tracks one is kept from the adjustments (docs/method.md, "Cameras")."""
+"""Every how many of the longer tracks one is kept from the adjustments (docs/method/cameras.md)."""
 MIN_JUDGE_VIEWS = 3
 """Frames that such a track was seen in: every second one places its point, the others judge it. Chosen by eye."""
 MIN_JUDGES = 30
@@ -37,7 +37,7 @@ FIELD_OF_VIEW = (8.0, 130.0)
 """Degrees across that cameras have. Chosen by eye."""
 MAX_COST_RATIO = 0.9
 """The second solver is taken where its cost is below this share of the first one's, or where only it is sane
-(docs/method.md, "Cameras")."""
+(docs/method/cameras.md)."""
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,7 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
     """Estimate a pose for every frame and one focal length, and write them to ``scene``.
 
     The principal point is taken to be the center of the image and pixels to be square. Held-out frames are seen here
-    (docs/method.md, "Evaluation protocols"), but nothing other than their poses and their lens leaves this stage. The first camera
+    (docs/method/evaluation.md), but nothing other than their poses and their lens leaves this stage. The first camera
     is the identity and the
     median distance of the points is 1. Pieces that nothing joins (there is a cut between them) are solved one by one, each in
     these units, and set side by side so far apart that none sees the other: the path jumps there.

@@ -39,8 +39,7 @@ MAX_SHIFT = 0.35
 MIN_EDGES_IN_PLACE, MIN_FRAME_SHARE = 0.25, 0.9
 """Share of a part's edges that stay in so many of the frames of a camera that stands still."""
 MIN_PARTS_IN_PLACE = 0.3
-"""Share of the parts of which that holds: .38 to 1 of cameras that stand still, 0 to .04 of others (docs/method.md,
-"Cameras")."""
+"""Share of the parts of which that holds: .38 to 1 of cameras that stand still, 0 to .04 of others (docs/method/cameras.md)."""
 
 
 def stands_still(scene: Scene, frames: Sequence[int]) -> bool:

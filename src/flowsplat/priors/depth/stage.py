@@ -1,4 +1,4 @@
-"""The depth stage: planar depth for every training frame, without learned weights (docs/method.md, "Flow, masks and depth")."""
+"""The depth stage: planar depth for every training frame, without learned weights (docs/method/depth.md)."""
 
 from __future__ import annotations
 

@@ -39,28 +39,26 @@ from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth
 
 PLATE_OFFSETS = (4, 8, 12, 16, 24, 32, 48)
-"""Training frames before and after, whose images are compared (docs/method.md, "Flow, masks and depth")."""
+"""Training frames before and after, whose images are compared (docs/method/masks.md)."""
 
 FEW_FRAMES = 16
 """Training frames of a clip up to which its images are few and lie far apart: all others are compared, and the flow hardly joins
-them (docs/method.md, "Flow, masks and depth")."""
+them (docs/method/masks.md)."""
 
 MIN_VIEWS = 2
 """Frames that must see a pixel's static point for its image to count. Chosen by eye."""
 
 SIMILAR_SHARE = 0.33
-"""Share of the frames that look most like the pixel, whose last one is compared with it (docs/method.md, "Flow, masks and
-depth")."""
+"""Share of the frames that look most like the pixel, whose last one is compared with it (docs/method/masks.md)."""
 
 SHADE_SIDE, SHADE_RANGE = 9, (0.55, 1.25)
-"""Side in pixels of the square in which a shadow is even, and the range of its brightness (docs/method.md, "Flow, masks and
-depth")."""
+"""Side in pixels of the square in which a shadow is even, and the range of its brightness (docs/method/masks.md)."""
 
 SHADE_COST = 0.25
 """How much a brightness other than 1 counts, as a share of the brightness. Chosen by eye."""
 
 NOISE_LEVELS, SHIFT_PIXELS = 6.0, 0.5
-"""Gray levels and pixels by which a plate is off where nothing moves (docs/method.md, "Flow, masks and depth")."""
+"""Gray levels and pixels by which a plate is off where nothing moves (docs/method/masks.md)."""
 
 
 UNSEEN_DIFFERENCE = 1e30

@@ -29,12 +29,12 @@ Chosen by eye."""
 
 RESTING_MOTION_RATIO, MIN_RESTING_MOTION = 3.5, 1.0
 """Multiples of the median motion of all pixels that are neither evidence of motion nor of rest, and the least that may be
-(docs/method.md, "Flow, masks and depth")."""
+(docs/method/masks.md)."""
 MOTION_SAMPLES = 24
 """Frames that the median is taken from. Chosen by eye."""
 FADE_SHARE, FADE_REACH = 0.35, 0.04
 """Flow fades from an object to what rests beside it, so rest ends at this share of the largest motion around it. So far around,
-in units of the long side (docs/method.md, "Flow, masks and depth")."""
+in units of the long side (docs/method/masks.md)."""
 
 EVIDENCE_MEMORY = 0.9
 """Share of the evidence that a frame takes over from the next and the one before. Chosen by eye."""
@@ -62,7 +62,7 @@ class Weighing:
 
 
 MANY_FRAMES, FEW_IMAGES, MATCHES_ALONE = Weighing(0.35, 4.0, 2.0), Weighing(0.7, 1.5, 1.0), Weighing(0.0, 0.0, 2.0)
-"""For clips of many frames, for few images, and where depth is not seen well (docs/method.md, "Flow, masks and depth")."""
+"""For clips of many frames, for few images, and where depth is not seen well (docs/method/masks.md)."""
 
 
 def choose_weighing(clip: MatchedClip) -> Weighing:

@@ -38,27 +38,26 @@ from flowsplat.priors.masks.background_plate import SIMILAR_SHARE, UNSEEN_DIFFER
 from flowsplat.priors.masks.plane_sweep import largest_share
 
 ASKED_FRAMES = 16
-"""Other frames that are asked, evenly over a piece of the clip (docs/method.md, "Flow, masks and depth")."""
+"""Other frames that are asked, evenly over a piece of the clip (docs/method/masks.md)."""
 
 SURFACE_TOLERANCE = 0.04
-"""Share of the inverse depth by which two values of one surface differ at most (docs/method.md, "Flow, masks and depth")."""
+"""Share of the inverse depth by which two values of one surface differ at most (docs/method/masks.md)."""
 
 MIN_VOTE_SHARE, MIN_VOTES = 0.25, 2
-"""Share of the frames that see anything at a pixel, and number of them, that must agree on a surface (docs/method.md, "Flow,
-masks and depth")."""
+"""Share of the frames that see anything at a pixel, and number of them, that must agree on a surface (docs/method/masks.md)."""
 
 MAX_SURFACES = 3
-"""That are compared with a pixel at most, those of the most votes (docs/method.md, "Flow, masks and depth")."""
+"""That are compared with a pixel at most, those of the most votes (docs/method/masks.md)."""
 
 MIN_SWEEP_RESIDUAL = 0.5
-"""Multiples of its noise by which a pixel must differ from every surface to be looked for at other depths (docs/method.md, "Flow,
-masks and depth")."""
+"""Multiples of its noise by which a pixel must differ from every surface to be looked for at other depths
+(docs/method/masks.md)."""
 
 MAX_SWEEP_INVERSE_DEPTH = 20.0
-"""Largest inverse depth at which it is looked for, in those of the clip's median (docs/method.md, "Flow, masks and depth")."""
+"""Largest inverse depth at which it is looked for, in those of the clip's median (docs/method/masks.md)."""
 
 SWEEP_STRIDE = 2
-"""Only every so many pixels is it looked for, which takes most of the time (docs/method.md, "Flow, masks and depth")."""
+"""Only every so many pixels is it looked for, which takes most of the time (docs/method/masks.md)."""
 
 UNKNOWN_SHARE = 0.6
 """Share that a pixel has which too few other frames could see at any depth. Chosen by eye."""

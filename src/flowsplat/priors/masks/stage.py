@@ -1,5 +1,4 @@
-"""The mask stage: objects are found by their motion, then cut out by what the images show (docs/method.md, "Flow, masks and
-depth").
+"""The mask stage: objects are found by their motion, then cut out by what the images show (docs/method/masks.md).
 
 Matches find what moves, but not its outline: flow takes along what is near an object, and misses what is thin. So the
 images decide on the outline: a pixel that differs from the static scene as other frames show it, and that has the

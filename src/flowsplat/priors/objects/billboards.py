@@ -3,7 +3,7 @@
 Matches say nothing about the depth of what moves. But every static point that other frames show at the pixels of a
 object lies behind it: these points are its clean plate. The nearest of them is the ground at its feet, if it stands on
 the ground, and in any case the furthest it can be away. So an object is as near as the near end of its plate, and no pixel
-of it lies behind the plate, or behind what frames far away in time saw there (docs/method.md, "Flow, masks and depth": that an
+of it lies behind the plate, or behind what frames far away in time saw there (docs/method/depth.md: that an
 object is before the
 background matters more than how far before). How its depth changes is seen from its size, so that the frames with the
 nearest plate speak for all.

@@ -29,10 +29,10 @@ MIN_INLIER_SHARE = 0.7
 14 (docs/results.md)."""
 MIN_RIGID_SHARE = 0.85
 """Share of all observations on an object that its motion explains from which it does not bend, so that its points have one shape.
-Walkers have 68 to 82 %, what is rigid 87 to 98 (docs/method.md, "Distance of objects")."""
+Walkers have 68 to 82 %, what is rigid 87 to 98 (docs/method/objects.md)."""
 TRACKS_PER_FRAME = (50, 180)
 """Tracks in a frame that the motion is solved from, the longest first; half of them for either half. Both are tried
-(docs/method.md, "Distance of objects")."""
+(docs/method/objects.md)."""
 MIN_LAW_SIGMA = {"pivot": 0.04, "height": 0.03}
 """Standard deviation of ln distance that a law of motion leaves at least: pivots of three scenes were off by .003 to .062."""
 LAW_ERROR_RATE = {"pivot": 0.05, "height": 0.05}
@@ -42,7 +42,7 @@ MAX_PIVOT_REST, MIN_PIVOT_TURN = 0.2, 30.0
 .03 to .08, what only looks like one .25 and more (docs/results.md, "Masks of what moves")."""
 MIN_CONTRADICTION_SIGMA = 0.15
 """Standard deviation over time between ln z by motion and by growth from which the ground decides which of them is right
-(docs/method.md, "Distance of objects")."""
+(docs/method/objects.md)."""
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ def rigid_motions(positions: np.ndarray, inside: np.ndarray, K: np.ndarray) -> t
     for whole, most in sorted(found, key=lambda each: each[0].noise):
         if whole.inliers < MIN_INLIER_SHARE:
             continue
-        # One way to halve the tracks may be bad luck, so that two of three decide (docs/method.md, "Distance of objects").
+        # One way to halve the tracks may be bad luck, so that two of three decide (docs/method/objects.md).
         told = [halves_agree(order, most) for order in orders[:2]]
         if told[0] != told[1]:
             told.append(halves_agree(orders[2], most))

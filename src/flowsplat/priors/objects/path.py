@@ -27,7 +27,7 @@ BOUNCE_SPAN = 2
 """Frames to either side over which the second difference of a height is taken. Chosen by eye."""
 MIN_BOUNCE, BOUNCE_WIDTH = 1.5, 4
 """Second difference at a bounce, in units of that in free flight; so many frames from it there is free flight again
-(docs/method.md, "Distance of objects")."""
+(docs/method/objects.md)."""
 MAX_FLIGHT_SPREAD = 1.2
 """Spread of the second differences over time, in units of their median, up to which it is free flight. Chosen by eye."""
 MIN_CURVED_FRAMES = 8

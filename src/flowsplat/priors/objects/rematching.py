@@ -30,18 +30,17 @@ from flowsplat.priors.objects.shape_offset import (
 )
 
 PATCH_RADIUS = 4
-"""Pixels of a point's surroundings to either side (docs/method.md, "Distance of objects")."""
+"""Pixels of a point's surroundings to either side (docs/method/objects.md)."""
 MAX_POINTS = 700
-"""Points of an object that are matched (docs/method.md, "Distance of objects")."""
+"""Points of an object that are matched (docs/method/objects.md)."""
 MATCH_ROUNDS = 2
-"""The second time the motion and the surface are better known (docs/method.md, "Distance of objects")."""
+"""The second time the motion and the surface are better known (docs/method/objects.md)."""
 MIN_CORRELATION = 0.85
-"""Correlation of brightness from which a match counts (docs/method.md, "Distance of objects")."""
+"""Correlation of brightness from which a match counts (docs/method/objects.md)."""
 MAX_MATCH_SHIFT = 4.0
-"""Pixels that a match may lie away from where the motion puts it (docs/method.md, "Distance of objects")."""
+"""Pixels that a match may lie away from where the motion puts it (docs/method/objects.md)."""
 MAX_MATCH_SIGMA = 0.25
-"""Pixels: standard deviation of a match, in the direction that it tells least, up to which it counts (docs/method.md, "Distance
-of objects")."""
+"""Pixels: standard deviation of a match, in the direction that it tells least, up to which it counts (docs/method/objects.md)."""
 MIN_VIEW_COSINE = 0.25
 """Cosine between the surface's normal and the line of sight from which a frame shows a point. Chosen by eye."""
 MIN_COVERED_SHARE = 0.6

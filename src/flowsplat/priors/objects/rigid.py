@@ -37,19 +37,19 @@ MIN_SHARED_POINTS = 6
 MIN_POINT_DEPTH = 0.05
 """Depth, in units of the object's mean distance, below which a point is taken for this near. Chosen by eye."""
 INLIER_PIXELS = 1.5
-"""Pixels up to which an observation agrees with the solution (docs/method.md, "Distance of objects")."""
+"""Pixels up to which an observation agrees with the solution (docs/method/objects.md)."""
 
 _GROW_ITERATIONS, _FINAL_ITERATIONS, _POSE_ITERATIONS = 4, 30, 8
 """Iterations of an adjustment while the solution grows, of the last one, and of the pose of one frame, at most. Chosen by eye."""
 _ADJUST_EVERY, _ADJUST_SHARE = 4, 0.1
 """While it grows, a solution is adjusted, all of it each time, when it has so many more frames; beyond 80 of them, when it has this
-share of them more, less ``_ADJUST_EVERY`` (docs/method.md, "Distance of objects")."""
+share of them more, less ``_ADJUST_EVERY`` (docs/method/objects.md)."""
 _DAMPING_TRIES = 5
 """How often a step that raises the cost is tried again with more damping. Chosen by eye."""
 _MAX_TRACK_FRAMES, _PIECE_FRAMES, _TRACK_CUT_STAGGER = 100, 40, 23
 """Frames over which a track counts as one point, and those of a piece of a longer one: one that lasts for all of a long clip would
 join all of its poses, and time grow with the cube of their number. By how many frames later the next one is cut
-(docs/method.md, "Distance of objects")."""
+(docs/method/objects.md)."""
 
 
 @dataclass(frozen=True)

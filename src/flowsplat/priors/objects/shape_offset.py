@@ -13,7 +13,7 @@ from flowsplat.priors.objects.rigid import INLIER_PIXELS, MIN_POINT_DEPTH, RESID
 from flowsplat.priors.objects.rigid_equations import derivatives
 
 EXPECTED_ROUNDNESS = 0.75
-"""How deep the front of an object is expected to be, in units of a ball's of its width (docs/method.md, "Distance of objects")."""
+"""How deep the front of an object is expected to be, in units of a ball's of its width (docs/method/objects.md)."""
 DISC_RADII = 0.8 ** np.arange(9)
 """Radii of the discs that are tried, in units of the largest one inside an object. Chosen by eye."""
 EXPECTED_OFFSET_SIGMA = 0.6

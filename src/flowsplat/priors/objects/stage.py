@@ -1,4 +1,4 @@
-"""The object stage: how each object moves, and how far away it is (docs/method.md, "Distance of objects")."""
+"""The object stage: how each object moves, and how far away it is (docs/method/objects.md)."""
 
 from __future__ import annotations
 

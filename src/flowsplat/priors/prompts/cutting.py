@@ -17,7 +17,7 @@ SEARCH_REACH = 0.25
 """Share of the image's long side within which the object under a click is looked for. Chosen by eye."""
 
 MENDING_REACH = 0.08
-"""The same of what a click adds to an object that was carried, or takes from it (docs/method.md, "Flow, masks and depth")."""
+"""The same of what a click adds to an object that was carried, or takes from it (docs/method/masks.md)."""
 
 MIN_OWN_MOTION = 1.0
 """Pixels a frame by which an object's motion must differ from its surroundings' to be told by it. Chosen by eye."""
@@ -29,24 +29,23 @@ SURROUNDINGS_SIDES = 0.5
 """Sides of a box within which what is round it tells how what is behind it moves. Chosen by eye."""
 
 MIN_FLOW_NOISE, MOTION_NOISE_RATIO = 0.15, 2.5
-"""Least noise of the flow around in pixels, and multiples of it at which a motion is evidence of neither (docs/method.md, "Flow,
-masks and depth")."""
+"""Least noise of the flow around in pixels, and multiples of it at which a motion is evidence of neither (docs/method/masks.md)."""
 
 MAX_FIT_PIXELS, MIN_FIT_PIXELS = 4000, 50
 """Pixels that it is fitted to at most, and at least. Chosen by eye."""
 
 EVIDENCE_WEIGHT, MAX_EVIDENCE, SURE_EVIDENCE = 0.5, 3.0, 1.5
 """Weight of what all frames say, the most that evidence counts (a logarithm to base 2), and what is sure of it. The first was
-chosen on tuned scenes and random worlds (docs/method.md, "Flow, masks and depth"; docs/results.md, Clicks and boxes)."""
+chosen on tuned scenes and random worlds (docs/method/masks.md; docs/results.md, Clicks and boxes)."""
 
 MIN_MOVING_SHARE = 0.08
-"""Share of a box that must surely move for evidence to decide in it (docs/method.md, "Flow, masks and depth")."""
+"""Share of a box that must surely move for evidence to decide in it (docs/method/masks.md)."""
 
 COLOR_WEIGHT, MAX_COLOR_EVIDENCE = 0.7, 1.5
 """Weight of the colors' logarithm to base 2, and the most that it counts. Chosen by eye."""
 
 _COLOR_ROUNDS = 3
-"""How often the colors are taken anew (docs/method.md, "Flow, masks and depth")."""
+"""How often the colors are taken anew (docs/method/masks.md)."""
 EDGE_AWARE_SMOOTHNESS, COLOR_SIGMA = 20.0, 10.0
 """Of the smoother along the edges of the image, and gray levels across which it no longer reaches. Chosen by eye."""
 

@@ -9,7 +9,7 @@ GRABCUT_ROUNDS = 4
 """Of GrabCut on the frame with the prompt; one is enough to correct an edge. Chosen by eye."""
 
 EDGE_BAND = 0.012
-"""Share of the image's long side by which the flow may misplace an edge (docs/method.md, "Flow, masks and depth")."""
+"""Share of the image's long side by which the flow may misplace an edge (docs/method/masks.md)."""
 
 
 def grab(image: np.ndarray, trimap: np.ndarray, rounds: int) -> np.ndarray:

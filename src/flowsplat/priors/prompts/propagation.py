@@ -35,14 +35,14 @@ MAX_GRAY_DIFFERENCE = 30.0
 
 CARRIED_EVIDENCE = 2.0
 """Evidence, a logarithm to base 2, that what was carried is the object; it falls to its negative within ``EDGE_BAND`` of the
-edge. Chosen on tuned scenes and random worlds (docs/method.md, "Flow, masks and depth"; docs/results.md, Clicks and boxes)."""
+edge. Chosen on tuned scenes and random worlds (docs/method/masks.md; docs/results.md, Clicks and boxes)."""
 
 MAX_BANDS = 3.0
 """Bands round what was carried within which the object may be. Chosen by eye."""
 
 OTHER_OBJECT_EVIDENCE, OTHER_OBJECT_BANDS = 1.0, 1.0
 """Evidence of motion that belongs to something else where it is not found to be the object, and bands from it beyond which
-(docs/method.md, "Flow, masks and depth")."""
+(docs/method/masks.md)."""
 
 
 @dataclass

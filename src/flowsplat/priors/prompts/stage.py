@@ -1,5 +1,5 @@
-"""The mask stage of clicks and boxes: what was shown is followed along the flow, and its outline is what moves (docs/method.md,
-"Flow, masks and depth")."""
+"""The mask stage of clicks and boxes: what was shown is followed along the flow, and its outline is what moves
+(docs/method/masks.md)."""
 
 from __future__ import annotations
 

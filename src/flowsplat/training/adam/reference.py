@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15
-"""Decay of the first and of the second moment, and what keeps the division finite (docs/method.md, "Training", has the last)."""
+"""Decay of the first and of the second moment, and what keeps the division finite (docs/method/training.md, has the last)."""
 MAX_CORRECTED_STEPS = 1 << 15
 """Steps after which the bias correction of the second moment is 1 in float32."""
 

@@ -1,5 +1,5 @@
-"""The coverage loss: how far training pixels are from being covered, which long training would let happen. Ours (docs/method.md,
-"Where preset default differs from the paper")."""
+"""The coverage loss: how far training pixels are from being covered, which long training would let happen. Ours
+(docs/method/training.md)."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from flowsplat.training.losses import register_loss
 from flowsplat.training.step import StepOutput
 
 UNCOVERED_FROM = 0.3
-"""Transmittance that costs nothing. Less than ``render.FILLED_FROM``, from which on rendering fills (docs/method.md, "Where
-preset `default` differs from the paper")."""
+"""Transmittance that costs nothing. Less than ``render.FILLED_FROM``, from which on rendering fills (docs/method/training.md)."""
 
 
 def coverage_loss(alpha: Tensor) -> Tensor:

@@ -47,7 +47,7 @@ class PhotometricTargets:
 
 @dataclass(frozen=True)
 class PhotometricWeights:
-    """Weights of the parts (docs/method.md, "Training").
+    """Weights of the parts (docs/method/training.md).
 
     Attributes:
         ssim: gamma_1, the share of SSIM in the color loss.
@@ -103,7 +103,7 @@ def _twin(kernels: Kernels) -> PhotometricLossKernels:
 def photometric_loss(
     image: Tensor, alpha: Tensor, flow_channels: int, targets: PhotometricTargets, weights: PhotometricWeights
 ) -> tuple[Tensor, ImageFigures]:
-    """L_color + weight L_flow + weight L_depth of a rendered image (docs/method.md, "Training"), differentiable in image and alpha.
+    """L_color + weight L_flow + weight L_depth of a rendered image (docs/method/training.md), differentiable in image and alpha.
 
     L_color is (1 - gamma_1) L1 + gamma_1 (1 - SSIM); SSIM has an 11 x 11 Gaussian window of sigma 1.5 and zeros beyond the
     border, as 3D Gaussian Splatting trains with. L_flow is the mean error in pixels over trusted pixels and both components;

@@ -11,11 +11,11 @@ from flowsplat.training.photometric_loss.api import ImageFigures, PhotometricTar
 
 RADIUS, SIGMA, C1, C2 = 5, 1.5, 0.01**2, 0.03**2
 """Of SSIM: pixels of the window to either side and its standard deviation, and the constants of Wang et al. 2004
-(docs/method.md, "Evaluation protocols")."""
+(docs/method/evaluation.md)."""
 MIN_FLOW_ALPHA = 0.5
-"""Alpha from which a pixel's flow counts, if it is compared by alpha (docs/method.md, "Flow splatting")."""
+"""Alpha from which a pixel's flow counts, if it is compared by alpha (docs/method/flow.md, "Flow splatting")."""
 MAX_UNSEEN_SHARE = 0.05
-"""Share of alpha that may be held by what the other camera cannot see (docs/method.md, "Flow splatting")."""
+"""Share of alpha that may be held by what the other camera cannot see (docs/method/flow.md, "Flow splatting")."""
 
 
 def window() -> np.ndarray:

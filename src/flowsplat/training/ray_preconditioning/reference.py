@@ -16,7 +16,7 @@ from flowsplat.training.adam import RowAdam
 
 HALF_PARALLAX = 4.0
 """Parallax, as a standard deviation over the clip, at which half of that counts: below it the images hardly tell a depth
-(docs/method.md, "Where preset `default` differs from the paper")."""
+(docs/method/training.md)."""
 
 
 @dataclass(frozen=True)

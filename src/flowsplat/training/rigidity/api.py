@@ -34,8 +34,8 @@ def _twin(kernels: Kernels) -> RigidLossKernels:
 
 
 def rigid_loss(velocities: Tensor, rows: Tensor, neighbors: Neighbors, count: int | Tensor) -> Tensor:
-    """L_rigid = 1 / (k count) sum_i sum_j w_ij |v_i - v_j| over the pairs that are both active, the norm safe at 0 (docs/method.md,
-    "Training").
+    """L_rigid = 1 / (k count) sum_i sum_j w_ij |v_i - v_j| over the pairs that are both active, the norm safe at 0
+    (docs/method/training.md).
 
     Args:
         velocities: [M, 3] of active Gaussians, per clip length.

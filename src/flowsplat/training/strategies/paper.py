@@ -1,5 +1,5 @@
-"""The paper's density control, which is that of 3D Gaussian Splatting with times: clone, split, prune, reset (docs/method.md,
-"Training")."""
+"""The paper's density control, which is that of 3D Gaussian Splatting with times: clone, split, prune, reset
+(docs/method/training.md)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """The floor: what blending must compute at least, counted in pixel-Gaussian pairs.
 
-A pair is a pixel center inside the alpha >= 1/255 ellipse of a Gaussian (docs/method.md, "Compositing"). All of them count, also
+A pair is a pixel center inside the alpha >= 1/255 ellipse of a Gaussian (docs/method/flow.md, "Compositing"). All of them count,
+also
 those that lie
 behind a pixel that has stopped. A pair costs these floating-point operations (an FMA counts two; comparisons, selections,
 conversions, loads and stores count nothing, and neither do projecting, sorting and tiling):

@@ -23,7 +23,7 @@ from flowsplat_benchmarks.scripts.cpu_parts.work_load import work_load
 from flowsplat_benchmarks.scripts.gpu_parts.machine import device, forget_peak, milliseconds, peak_gib
 
 GAUSSIANS = 196_000
-"""As many as the paper's scenes have on NVIDIA's rig (docs/method.md, "Evaluation protocols")."""
+"""As many as the paper's scenes have on NVIDIA's rig (docs/method/evaluation.md)."""
 REST_SHARE = 0.3571
 """Of the Gaussians; with it 91,000 of 196,000 are active in a frame."""
 SIZES = {"480x270": (480, 270), "854x480": (854, 480), "1920x1080": (1920, 1080)}

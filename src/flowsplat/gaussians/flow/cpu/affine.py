@@ -1,7 +1,7 @@
 """The features of color, depth and affine flow, and their gradient, in one sweep. Oracle: ``reference``.
 
 With L = J R S of a Gaussian (J of the camera, R its rotation, S its scales; L' likewise at the other time), the matrix of
-Affine flow (docs/method.md) is B = (L' - L) L^T (L L^T + eps)^-1, because M Sigma = R' S S R^T.
+Affine flow (docs/method/flow.md) is B = (L' - L) L^T (L L^T + eps)^-1, because M Sigma = R' S S R^T.
 """
 
 from __future__ import annotations
