@@ -121,7 +121,7 @@ def test_every_sentence_on_cameras_is_explained():
 
 
 def test_no_image_is_left_over():
-    pages = "".join(path.read_text(encoding="utf-8") for path in [*DOCS.glob("*.md"), TOP / "README.md"])
+    pages = "".join(path.read_text(encoding="utf-8") for path in [*DOCS.rglob("*.md"), TOP / "README.md"])
     assert [path.name for path in (DOCS / "images").iterdir() if path.name not in pages] == []
 
 

@@ -10,7 +10,7 @@ MAX_SPACING_FACTOR = 2.0
 `default` differs from the paper")."""
 _DETAIL_SIGMA, _DETAIL_WINDOW = 1.0, 3.0
 """Standard deviations, pixels: what is finer than the first is detail, and it is averaged over the second. Chosen on bear, train
-and workshop (docs/method.md, "Where preset `default` differs from the paper"; docs/results.md)."""
+and workshop (docs/method.md, "Where preset `default` differs from the paper"; docs/notebook/2026-11.md)."""
 _DETAIL_FLOOR = 1 / 255
 """Detail that every image has: a step of its own numbers."""
 _PROBED_PIXELS = 20_000
