@@ -17,7 +17,7 @@ from flowsplat.common.progress import report
 from flowsplat.common.source import source_state
 from flowsplat_benchmarks.results.cells import Cell, choose_cells, list_cells
 from flowsplat_benchmarks.results.jobs import list_missing, measure_cell
-from flowsplat_benchmarks.results.pages import OVERVIEW, write_pages
+from flowsplat_benchmarks.results.pages import OVERVIEW, format_pages, write_pages
 from flowsplat_benchmarks.results.records import (
     Record,
     describe_commit,
@@ -26,6 +26,7 @@ from flowsplat_benchmarks.results.records import (
     read_records,
     write_record,
 )
+from flowsplat_benchmarks.results.rows import Records
 from flowsplat_benchmarks.resume import BenchmarkOptions, Measurement, measure_jobs
 
 CELLS, WORK, PAGES = "cells", "work", "pages"
@@ -131,6 +132,7 @@ def write_report(out: Path, docs: Path | None = None) -> Path:
     if docs is None:
         write_pages(found, out / PAGES, with_links=False)
         return out / PAGES / f"{OVERVIEW}.md"
+    format_pages(Records(found))  # before anything damaged is kept
     kept = make_folder(docs / RECORDS)
     for record in found:
         cell = Cell(record.benchmark, record.scene, record.variant, record.seed, 0.0)

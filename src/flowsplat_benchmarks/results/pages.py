@@ -59,9 +59,9 @@ def write_pages(found: Sequence[Record], folder: Path, with_links: bool = True) 
     Raises:
         InputError: a record is damaged, or the folder cannot be written.
     """
-    records = Records(found)
+    pages = format_pages(Records(found))
     make_folder(folder)
-    for name, page in format_pages(records).items():
+    for name, page in pages.items():
         write_text(folder / f"{name}.md", page if with_links else re.sub(r"\[([^\]]+)\]\(\.\./[^)]*\)", r"\1", page))
 
 

@@ -37,8 +37,8 @@ MIN_CUT_EVIDENCE = 2.0
 where it brings the contact with the ground nearer (docs/notebook/2026-11.md, "Masks of what moves")."""
 
 MIN_MOVING_SHARE = 0.1
-"""Share of a part that must have been found by its motion: .3 loses more of what moves than of what rests (docs/notebook/2026-11.md,
-"Masks of what moves")."""
+"""Share of a part that must have been found by its motion: .3 loses more of what moves than of what rests
+(docs/notebook/2026-11.md, "Masks of what moves")."""
 
 BLOCKED_MARGIN = 0.01
 """Share of the long side by which an object may be larger than its motion shows. Chosen by eye."""
