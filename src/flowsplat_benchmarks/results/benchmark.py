@@ -31,6 +31,9 @@ from flowsplat_benchmarks.resume import BenchmarkOptions, Measurement, measure_j
 
 CELLS, WORK, PAGES = "cells", "work", "pages"
 """In OUT: a record of each cell, what they work in (by the state of the source), and the pages."""
+MIN_KNOWN_SECONDS = 600.0
+"""Estimated seconds of what is done from which on that tells how fast the machine is: of short cells starting is most. Chosen by
+eye."""
 RECORDS = "records"
 """In the folder of the pages of the documentation: what they are written of."""
 
@@ -155,8 +158,9 @@ def describe_plan(cells: Sequence[Cell], missing: Sequence[Cell], out: Path) -> 
         if make_measurement(cell, Path(), out).is_measured(out):
             done[cell.name] = read_record(path)
     took = [(done[cell.name].seconds, cell.seconds) for cell in cells if cell.name in done]
-    known = [(seconds, expected) for seconds, expected in took if seconds is not None]
-    factor = sum(seconds for seconds, _ in known) / sum(expected for _, expected in known) if known else 1.0
+    known = [(seconds, each) for seconds, each in took if seconds is not None]
+    expected = sum(each for _, each in known)
+    factor = sum(seconds for seconds, _ in known) / expected if expected >= MIN_KNOWN_SECONDS else 1.0
     lines = []
     for cell in cells:
         record = done.get(cell.name)

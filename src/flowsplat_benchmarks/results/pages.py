@@ -111,7 +111,7 @@ def _tabulate_clips(title: str, note: str, variants: Sequence[str], records: Rec
     return make_table(title, note, rows, columns, "clip")
 
 
-def _real_clips(records: Records) -> list[Table]:
+def _tabulate_real_clips(records: Records) -> list[Table]:
     return [
         _tabulate_clips("At 854x480", "Preset `default`, every tenth frame held out.", ("given", "own"), records),
         _tabulate_clips(
@@ -143,12 +143,12 @@ def _real_clips(records: Records) -> list[Table]:
 # -- rendered scenes
 
 
-def _rendered_rows(records: Records, order: Sequence[str] = ("own", "true")) -> list[tuple[str, Row]]:
+def _list_rendered_rows(records: Records, order: Sequence[str] = ("own", "true")) -> list[tuple[str, Row]]:
     return [(f"{name_of(name)}, {priors} priors", records.row("rig", name, priors)) for name in RENDERED for priors in order]
 
 
-def _rendered(records: Records) -> list[Table]:
-    rows = _rendered_rows(records)
+def _tabulate_rendered(records: Records) -> list[Table]:
+    rows = _list_rendered_rows(records)
     views = make_table(
         "Held-out cameras", "480x270, 36 images by cameras beside the clip's path.", rows,
         (
@@ -163,7 +163,7 @@ def _rendered(records: Records) -> list[Table]:
         "Rendered flow, depth and tracks",
         "Against the truth, on training frames. Flow: end-point error, mean over all pixels (over those of objects). Tracks: "
         "median error of moving points over 12 frames, in percent of their depth (after 12 frames).",
-        _rendered_rows(records),
+        _list_rendered_rows(records),
         (
             Shown("flow, px", (("flow_epe", "mean"), ("flow_epe", "moving", "mean"))),
             Shown("flow that taught it, px", (("prior_flow_epe", "mean"), ("prior_flow_epe", "moving", "mean"))),
@@ -313,7 +313,7 @@ def _whole(row: Row) -> str | None:
     return f"{text(sum(values), 0)} (stages)" if values else None
 
 
-def _speed(records: Records) -> list[Table]:
+def _tabulate_costs(records: Records) -> list[Table]:
     seconds = [Shown(stage, (("seconds", stage),), 0) for stage in STAGES]
     runs = make_table(
         "A run on a clip, seconds by the clock",
@@ -355,14 +355,14 @@ PAGES = {
         "estimated by flowsplat but for masks where they are called given. *tuned*: settings were chosen on this clip. "
         "*Flow interpolation* warps both neighbors half-way; *static scene* is ours without motion. What others reach on these "
         "clips: [at a glance](index.md) and [the paper's tables](paper.md).",
-        _real_clips,
+        _tabulate_real_clips,
     ),
     "rendered_scenes": Page(
         "Rendered scenes, seen from aside",
         "Four scenes that we rendered with exact truth. All frames train, and the test is cameras beside the clip's path that "
         "training never saw: PSNR in dB, in brackets inside what moves. *True priors*: cameras, depth, masks and flow are the "
         "truth, so that the rest is what training and the representation lose.",
-        _rendered,
+        _tabulate_rendered,
     ),
     "priors": Page(
         "Cameras, flow, masks, depth and tracks",
@@ -397,7 +397,7 @@ PAGES = {
     "speed": Page(
         "Time and memory",
         "What a run takes. Single kernels and steps: [Speed on a CPU](../benchmarks_cpu.md), [On a GPU](../gpu.md).",
-        _speed,
+        _tabulate_costs,
     ),
     "paper": Page(
         "The paper's tables beside ours",

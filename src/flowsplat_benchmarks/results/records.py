@@ -127,7 +127,10 @@ def describe_commit() -> str:
     try:
         said = [
             subprocess.run([*words, *more], capture_output=True, text=True, check=True).stdout.strip()
-            for more in (("log", "-1", "--format=%h", "--abbrev=7", "--", "."), ("status", "--porcelain", "--", "."))
+            for more in (
+                ("log", "-1", "--first-parent", "--format=%h", "--abbrev=7", "--", "."),
+                ("status", "--porcelain", "--", "."),
+            )
         ]
     except (OSError, subprocess.CalledProcessError):
         return source_state()

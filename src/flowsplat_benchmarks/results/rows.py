@@ -93,7 +93,7 @@ class Row:
         """Return at which commit it was measured, with how many seeds where there are several, and what failed."""
         at = " and ".join(self.commits)
         seeds = f", {self._seeds} seeds" if self._seeds > 1 else ""
-        return "; ".join(_one_line(part) for part in (f"{at}{seeds}" if at else "", *self.failures()) if part)
+        return "; ".join(one_line(part) for part in (f"{at}{seeds}" if at else "", *self.failures()) if part)
 
 
 def figure(record: Record, path: Path) -> float | None:
@@ -121,9 +121,9 @@ def _where(record: Record) -> str:
     return f"{record.machine}{threads}"
 
 
-def _one_line(words: str) -> str:
+def one_line(words: str) -> str:
     """Return words that a cell of a table can hold."""
-    return " ".join(words.split()).replace("|", "\\|")
+    return " ".join(words.split()).replace("|", "\\|").replace("<", "&lt;")
 
 
 @dataclass(frozen=True)

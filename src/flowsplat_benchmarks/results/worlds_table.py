@@ -12,7 +12,7 @@ from flowsplat_benchmarks.objects.preparation import VARIANTS
 from flowsplat_benchmarks.objects.tables import COVERAGE_SIGMAS, summary
 from flowsplat_benchmarks.results.cells import WORLDS
 from flowsplat_benchmarks.results.records import Record
-from flowsplat_benchmarks.results.rows import FAILED, MEASURED_AT, NOT_MEASURED, Records, Row
+from flowsplat_benchmarks.results.rows import FAILED, MEASURED_AT, NOT_MEASURED, Records, Row, one_line
 from flowsplat_benchmarks.tables import Table, text
 
 LABELS = {"plain": "plain", "crowd": "crowds", "dancers": "dancers"}
@@ -40,7 +40,7 @@ def tabulate_worlds(records: Records) -> Table:
         measured = [each for each in newest.values() if each.failure is None]
         for record in measured:
             row.note_commit(record.commit)
-        at = "; ".join([*([" and ".join(row.commits)] if row.commits else []), *failed]).replace("|", "\\|") or "–"
+        at = "; ".join(one_line(part) for part in ([" and ".join(row.commits)] if row.commits else []) + failed) or "–"
         count = "" if len(measured) == len(scenes) else f", {len(measured)} of {len(scenes)} measured"
         for variant in VARIANTS:
             name = f"{LABELS[kind]}, {seeds.start} to {seeds.stop - 1}{count}: {PRIORS[variant]}"

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from flowsplat.common.errors import InputError
+from flowsplat_benchmarks.oracles import benchmark as oracles
 from flowsplat_benchmarks.results import benchmark, jobs
 from flowsplat_benchmarks.results.cells import Cell, choose_cells, list_cells
 from flowsplat_benchmarks.results.jobs import JOBS, list_missing
@@ -83,14 +84,21 @@ def test_a_cell_is_done_once_at_a_commit(data_root, tmp_path, done, monkeypatch,
 
 def test_the_rest_is_estimated_by_what_is_done(tmp_path, monkeypatch):
     monkeypatch.setattr(benchmark, "describe_commit", lambda: "aaaaaaa")
-    job = benchmark.make_measurement(CELLS[0], tmp_path, tmp_path)
-    assert job.path is not None
-    written = Record("rig", "tiny", "own", 0, "aaaaaaa", "a machine", 1, 60.0, None, {})
-    job.path.parent.mkdir()
-    job.path.write_text(json.dumps({**written.to_json(), "key": job.key}))
-    told = benchmark.describe_plan(CELLS[:2], [], tmp_path)
-    assert told[1].startswith("rig_tiny_own_seed1: to do, about 1 min 30 s"), told
-    assert told[-1].startswith("2 cells, 1 done at aaaaaaa"), told
+    cells = [Cell("rig", "tiny", "own", seed, seconds) for seed, seconds in ((0, 60.0), (1, 600.0), (2, 60.0))]
+
+    def finish(cell: Cell, seconds: float) -> list[str]:
+        job = benchmark.make_measurement(cell, tmp_path, tmp_path)
+        assert job.path is not None
+        job.path.parent.mkdir(exist_ok=True)
+        written = Record("rig", "tiny", "own", cell.seed, "aaaaaaa", "a machine", 1, seconds, None, {})
+        job.path.write_text(json.dumps({**written.to_json(), "key": job.key}))
+        return benchmark.describe_plan(cells, [], tmp_path)
+
+    told = finish(cells[0], 240.0)
+    assert told[2] == "rig_tiny_own_seed2: to do, about 1 min 0 s", "of a short one starting is most"
+    told = finish(cells[1], 1080.0)
+    assert told[2] == "rig_tiny_own_seed2: to do, about 2 min 0 s"
+    assert told[-1] == "3 cells, 2 done at aaaaaaa; the rest takes about 2 min 0 s."
 
 
 def test_records_are_kept_beside_the_pages(tmp_path):
@@ -112,13 +120,13 @@ def test_records_are_kept_beside_the_pages(tmp_path):
 def test_a_row_says_where_it_was_measured_and_what_failed():
     found = [
         record(35.0, refined={"psnr": 35.5}), record(36.0, "bbbbbbb"), record(37.0, "bbbbbbb", seed=1),
-        record(None, "bbbbbbb", seed=2, failure="out of\nmemory | really"), record(None, scene="train", failure="it is torn"),
+        record(None, "bbbbbbb", seed=2, failure="out of\nmemory | <really>"), record(None, scene="train", failure="it is torn"),
     ]  # fmt: skip
     page = format_pages(Records(found))["real_clips"]
     cells = line(page, "bear")
     assert cells[1] == "36.50 (33.50)", "the mean of the seeds at the newest commit"
     assert cells[3] == "–", "refined poses of an older commit do not stand beside it"
-    assert cells[-1] == "bbbbbbb, 2 seeds; seed 2 failed at bbbbbbb: out of memory \\| really"
+    assert cells[-1] == "bbbbbbb, 2 seeds; seed 2 failed at bbbbbbb: out of memory \\| &lt;really>"
     assert line(page, "train")[1:] == ["failed", *["–"] * 4, "seed 0 failed at aaaaaaa: it is torn"]
     assert line(page, "camel")[1:] == ["not measured", *["–"] * 5]
     assert "- bbbbbbb: two cores, 2 threads" in page
@@ -200,3 +208,34 @@ def test_each_benchmark_is_asked_for_its_part(data_root, tmp_path, monkeypatch):
     assert [run.scene.name for run in runs] == ["clip_427"] * 4
     assert [(run.config.iterations, run.config.gaussians) for run in runs[1:]] == [(1600, 50_000), (1600, 0), (400, 200_000)]
     assert (runs[0].config.seed, runs[0].config.model.move_means) == (1, False)
+
+
+def test_the_other_benchmarks_are_asked_for_their_part(data_root, tmp_path, monkeypatch):
+    def do(*cell: str | int) -> object:
+        return jobs.measure_cell(Cell(*cell, 1.0), data_root, tmp_path)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(jobs.priors, "measure_scene", lambda scene, folder: (scene.kind, scene.name, folder.name))
+    assert do("priors", "pair", "", 0) == ("pair", "pair", "priors_pair_seed0")
+    monkeypatch.setattr(jobs.objects, "measure_world", lambda world, *_, kind, again: (world, kind, again))
+    assert do("objects", "plain-904", "", 0) == (904, "any", False)
+    assert do("objects", "dancers-900", "", 0) == (900, "dancers", False)
+    monkeypatch.setattr(oracles.OracleRun, "_measure", lambda run, out: (run.oracle, run.case.config.train.iterations))
+    assert do("oracles", "tiny", "outline", 0) == ("outline", 1000)
+    with pytest.raises(InputError, match="too few to hold any out"):
+        do("models", "clip", "splines", 0)
+    monkeypatch.setattr(jobs.growth, "enlarge", lambda _, side, path: path)
+    monkeypatch.setattr(jobs.growth, "measure", lambda case: (case.kind, case.frames, case.side))
+    assert do("growth", "frames-80", "", 0) == ("frames", 80, 320)
+    assert do("growth", "pixels-640", "", 0) == ("pixels", 16, 640)
+
+
+def test_a_field_is_trained_as_long_as_default(data_root, tmp_path, monkeypatch):
+    trained = []
+    monkeypatch.setattr(jobs.TrainingRun, "_measure", lambda run, out: trained.append(run.protocol) or {"seconds": {"train": 9.0}})
+    monkeypatch.setattr(
+        jobs.fields, "measure", lambda run, out: {"field": run.field, "budget": jobs.fields._read_seconds(run, out)}
+    )
+    for _ in range(2):
+        found = jobs.measure_cell(Cell("fields", "clip", "t-nerf", 0, 1.0), data_root, tmp_path)
+        assert (found["field"], found["budget"], found["default"]["seconds"]) == ("t-nerf", 9.0, {"train": 9.0})
+    assert trained == ["fields"], "default is trained once"
