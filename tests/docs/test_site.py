@@ -17,6 +17,9 @@ import pytest
 
 import flowsplat
 from flowsplat.cli import main
+from flowsplat_benchmarks.results.pages import format_pages
+from flowsplat_benchmarks.results.records import read_records
+from flowsplat_benchmarks.results.rows import Records
 
 TOP = Path(__file__).parent.parent.parent
 DOCS = TOP / "docs"
@@ -184,6 +187,18 @@ def test_every_sentence_on_cameras_is_explained():
     unexplained = [text for text in sentences if not any(q in text or text.strip() in q for q in (*quoted, *praise))]
     assert len(sentences) > 7
     assert unexplained == []
+
+
+def test_the_results_pages_say_what_the_records_say():
+    pages = format_pages(Records(read_records(DOCS / "results" / "records")))
+    assert {path.stem for path in (DOCS / "results").glob("*.md")} == set(pages)
+    for name, text in pages.items():
+        path = DOCS / "results" / f"{name}.md"
+        assert path.read_text(encoding="utf-8") == text, (
+            f"{name}: write it anew, flowsplat benchmark all DATA -o OUT --report-only --docs docs/results"
+        )
+        assert path.stat().st_size < 8192, name
+    assert len(pages["index"].splitlines()) < 60, "it is to be seen on one screen"
 
 
 def test_no_image_is_left_over():

@@ -14,10 +14,10 @@ from torch import Tensor
 from flowsplat.gaussians.gaussians4d import Gaussians4D
 
 MIN_FRAMES = 3
-"""Frames that must have seen a point. Chosen on workshop and garden (docs/method/evaluation.md; docs/results.md)."""
+"""Frames that must have seen a point. Chosen on workshop and garden (docs/method/evaluation.md; docs/notebook/2026-11.md)."""
 MAX_SPREADS = 12.0
 """Times the spread of the directions from which a point was seen is the furthest from which it is shown as it is. Chosen on
-workshop and garden (docs/method/evaluation.md; docs/results.md)."""
+workshop and garden (docs/method/evaluation.md; docs/notebook/2026-11.md)."""
 MIN_FADE_REACH = 0.02
 """What a Gaussian that too few saw may be off all the same, a degree: small swings stay whole (docs/method/evaluation.md)."""
 MAX_DIRECTION_DIFFERENCE = 2.0

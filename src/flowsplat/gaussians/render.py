@@ -23,7 +23,7 @@ from flowsplat.splatting.rules import EPS2D
 
 FILLED_FROM, FILLED_TO = 0.5, 0.9
 """Transmittance from which the color of the neighbors is added to a pixel, and from which on all of it. Chosen on bear, train and
-workshop (docs/method/representation.md; docs/results.md)."""
+workshop (docs/method/representation.md; docs/notebook/2026-11.md)."""
 
 
 @dataclass(frozen=True)

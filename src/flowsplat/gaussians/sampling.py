@@ -9,7 +9,7 @@ MAX_SPACING_FACTOR = 2.0
 """How many times as far apart as on average they are at most, where there is nothing to see (docs/method/training.md)."""
 _DETAIL_SIGMA, _DETAIL_WINDOW = 1.0, 3.0
 """Standard deviations, pixels: what is finer than the first is detail, and it is averaged over the second. Chosen on bear, train
-and workshop (docs/method/training.md; docs/results.md)."""
+and workshop (docs/method/training.md; docs/notebook/2026-11.md)."""
 _DETAIL_FLOOR = 1 / 255
 """Detail that every image has: a step of its own numbers."""
 _PROBED_PIXELS = 20_000

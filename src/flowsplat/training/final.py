@@ -14,8 +14,8 @@ from flowsplat.training.config import TrainConfig
 
 STEPS_A_HELDOUT_FRAME = 20
 """Steps of the final fit for each held-out frame, no more than ``MAX_FINAL_FIT_SHARE`` of those of the training: then no held-out
-frame stays behind by more than .3 dB, of bear and camel, on which it was chosen, and of train (docs/results.md, "How long the final
-fit is")."""
+frame stays behind by more than .3 dB, of bear and camel, on which it was chosen, and of train
+(docs/notebook/2026-11.md, "How long the final fit is")."""
 MAX_FINAL_FIT_SHARE = 0.25
 """Of the steps of the training, those of the final fit at most. Chosen by eye."""
 FIRST_RATES = 0.8

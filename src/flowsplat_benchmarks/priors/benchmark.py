@@ -55,11 +55,16 @@ def run_priors_benchmark(
 def _job(benchmark: BenchmarkScene, folder: Path) -> Measurement:
     config = scene_config(benchmark)
     return Measurement(
-        benchmark.name, stage_key(benchmark.kind, config.input, config.priors), partial(_measure_scene, benchmark, folder)
+        benchmark.name, stage_key(benchmark.kind, config.input, config.priors), partial(measure_scene, benchmark, folder)
     )
 
 
-def _measure_scene(benchmark: BenchmarkScene, folder: Path) -> dict[str, Any]:
+def measure_scene(benchmark: BenchmarkScene, folder: Path) -> dict[str, Any]:
+    """Prepare a scene in ``folder``, measure it and return what its JSON holds (see ``run_priors_benchmark``).
+
+    Raises:
+        InputError: the input cannot be used.
+    """
     scene, needed = prepare_scene(benchmark, folder)
     figures = measure(benchmark, scene)
     write_strip(folder, benchmark, scene)

@@ -52,7 +52,7 @@ def test_a_scene_that_cannot_be_measured_does_not_stop_the_others(data_root, tmp
         facts = {"scene": scene.name, "kind": scene.kind, "tuned": False, "frames": 2, "size": [4, 3], "flowsplat": "0"}
         return {**facts, "figures": {"flow.epe": 0.1}}
 
-    monkeypatch.setattr(benchmark, "_measure_scene", measure)
+    monkeypatch.setattr(benchmark, "measure_scene", measure)
     with pytest.raises(SystemExit) as end:
         call(data_root, "-o", tmp_path)
     assert end.value.code == 2

@@ -17,7 +17,7 @@ MAX_VIEWS = 48
 """Training frames that are looked at. Chosen by eye."""
 KEPT_IN_A_ROUND = 0.85
 """Share of the Gaussians that are kept before it is asked anew who is missed: where one is gone those behind it are. Half of a
-scene of bear has 30.9 dB so, 30.5 with .7, and 29.0 in one go (docs/results.md, "Gaussians that are needed")."""
+scene of bear has 30.9 dB so, 30.5 with .7, and 29.0 in one go (docs/notebook/2026-11.md, "Gaussians that are needed")."""
 
 
 def choose_most_important(model: SceneModel, views: Sequence[tuple[Camera, float]], count: int) -> SceneModel:

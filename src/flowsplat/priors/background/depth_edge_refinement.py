@@ -40,7 +40,7 @@ FRAME_OFFSETS = (-16, -8, -4, 4, 8, 16)
 """Training frames before and after that are asked (docs/method/depth.md)."""
 PROPOSAL_RADII = (4, 9, 15)
 """Pixels from which the nearest and the farthest surface are proposed. Chosen on workshop and garden (docs/method/depth.md;
-docs/results.md)."""
+docs/notebook/2026-11.md)."""
 MIN_DEPTH_RANGE = 0.06
 """Range of inverse depth within the last reach, as a share of it, from which a pixel is asked about (docs/method/depth.md)."""
 REFINEMENT_ROUNDS = 2

@@ -20,10 +20,10 @@ VOTING_OFFSETS = (2, 4, 8, 16)
 """Training frames before and after, which vote on the depth of a frame's pixels (docs/method/depth.md)."""
 REFINEMENT_ROUNDS = 2
 """Of both: edges are found again from what frames agreed on, and what is found is agreed on again. Chosen on workshop and garden
-(docs/method/depth.md; docs/results.md)."""
+(docs/method/depth.md; docs/notebook/2026-11.md)."""
 AGREED_VOTE_SHARE = 0.9
 """Share of the votes from which a pixel is not asked about once more, unless one that is lies within ``DISAGREEMENT_RADIUS``
-pixels. Chosen on workshop and garden (docs/method/depth.md; docs/results.md)."""
+pixels. Chosen on workshop and garden (docs/method/depth.md; docs/notebook/2026-11.md)."""
 DISAGREEMENT_RADIUS = 4
 """Pixels around one that frames do not agree on which are asked about, too (docs/method/depth.md).
 Chosen by eye."""

@@ -33,7 +33,7 @@ STUDENT_DEGREES = 4.0
 """Of freedom of the Student distribution: a jolt now and then is no sign of a camera that shakes (docs/method/cameras.md)."""
 CORRELATED_SHARE = 0.25
 """Share of a track over which its errors, and those of its neighbors, are alike, so that they tell as much as one observation.
-Chosen on workshop, garden, train, bear and random worlds (docs/method/cameras.md; docs/results.md)."""
+Chosen on workshop, garden, train, bear and random worlds (docs/method/cameras.md; docs/notebook/2026-11.md)."""
 _SCALE_ROUNDS, _ROUND_ITERATIONS, _LAST_ITERATIONS = 8, 2, 10
 """Estimates of the scale, at most; iterations of the adjustment in each; and those of the last adjustment. Chosen by eye."""
 _SCALE_TOLERANCE = 0.03

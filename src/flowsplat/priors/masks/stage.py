@@ -25,19 +25,19 @@ from flowsplat.priors.masks.numbers import number_objects
 from flowsplat.scenes import Scene
 
 MAX_EVIDENCE = 5.0
-"""Most that a pixel's own evidence counts: a logarithm to base 2. Caps of 3 and 8 cut the same masks (docs/results.md, "Masks of
-what moves")."""
+"""Most that a pixel's own evidence counts: a logarithm to base 2. Caps of 3 and 8 cut the same masks (docs/notebook/2026-11.md,
+"Masks of what moves")."""
 
 EVIDENCE_MEMORY = 0.5
 """Share of the evidence that a frame takes over from the next and the one before. Chosen by eye."""
 
 MIN_CUT_EVIDENCE = 2.0
 """Summed evidence from which a pixel is in a mask. What rests in a mask costs more than what is missed of an object, above all
-where it brings the contact with the ground nearer (docs/results.md, "Masks of what moves")."""
+where it brings the contact with the ground nearer (docs/notebook/2026-11.md, "Masks of what moves")."""
 
 MIN_MOVING_SHARE = 0.1
-"""Share of a part that must have been found by its motion: .3 loses more of what moves than of what rests (docs/results.md, "Masks
-of what moves")."""
+"""Share of a part that must have been found by its motion: .3 loses more of what moves than of what rests
+(docs/notebook/2026-11.md, "Masks of what moves")."""
 
 BLOCKED_MARGIN = 0.01
 """Share of the long side by which an object may be larger than its motion shows. Chosen by eye."""
@@ -47,7 +47,7 @@ MODEL_FRAMES = 16
 
 _EDGE_AWARE_SMOOTHNESS, _COLOR_SIGMA = 5.0, 10.0
 """Smoothness along the edges of the image, and gray levels across which it no longer reaches: smoothness of 2 to 20 cuts nearly the
-same masks (docs/results.md, "Masks of what moves")."""
+same masks (docs/notebook/2026-11.md, "Masks of what moves")."""
 
 
 def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:

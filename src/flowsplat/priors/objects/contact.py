@@ -21,7 +21,7 @@ MIN_BESIDE = 6
 """Pixels beside its lowest ones that must tell. Chosen by eye."""
 CONTACT_DEPTH = 0.2
 """By how much, in ln, what touches the ground under an object is farther at one end than at the other, at most: the wheels of a
-car, two feet. Above .1 it hardly matters (docs/results.md, "Contact, counted")."""
+car, two feet. Above .1 it hardly matters (docs/notebook/2026-11.md, "Contact, counted")."""
 MAX_BEYOND_GROUND = 0.15
 """How much farther the static scene is seen than the ground is supposed to be, so that it ends before. Chosen by eye."""
 

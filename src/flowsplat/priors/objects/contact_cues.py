@@ -13,26 +13,26 @@ from flowsplat.priors.objects.distance import Cue
 
 CONTACT_SIGMA, CONTACT_ERROR_RATE = 0.06, 0.2
 """Standard deviation of ln distance that contact with the ground has at least, most likely for 17 objects of worlds below 900 and
-rendered scenes (docs/results.md, "Masks of what moves"), and the chance that it has nothing to do with the truth: of 17 such
-objects with own priors 4 were more than .15 off (docs/results.md, "Contact, counted")."""
+rendered scenes (docs/notebook/2026-11.md, "Masks of what moves"), and the chance that it has nothing to do with the truth: of 17
+such objects with own priors 4 were more than .15 off (docs/notebook/2026-11.md, "Contact, counted")."""
 BOUNCE_ERROR_RATE = 0.1
 """Chance that a bounce has nothing to do with the truth. Chosen by eye."""
 MAX_BOUND_RANGE, BOUND_LOW_PERCENTILE, BOUND_HIGH_PERCENTILE = 0.1, 10, 70
 """Range of the bounds between two percentiles over time up to which an object stands on the ground. Chosen on random worlds of
-seeds 0 to 14 (docs/results.md)."""
+seeds 0 to 14 (docs/notebook/2026-11.md)."""
 MAX_UNEVEN_RANGE, UNEVEN_ERROR_RATE = 0.4, 0.35
 """Range up to which it may stand there though its bounds change: with the pose of who dances, with a foot that a shadow hides
-(docs/results.md, "Contact, counted"). And the chance that it does not: of 13 such objects 5 were more than .15 off."""
+(docs/notebook/2026-11.md, "Contact, counted"). And the chance that it does not: of 13 such objects 5 were more than .15 off."""
 MIN_FEET_SHARE = 0.5
 """Share of the frames in which an object is seen in which its feet must be seen, too: what swings hides where it is high. Chosen
-on random worlds of seeds 0 to 14 (docs/results.md)."""
+on random worlds of seeds 0 to 14 (docs/notebook/2026-11.md)."""
 MIN_BOUNDS = 8
 """Frames with a bound below which an object is not said to stand. Chosen by eye."""
 STEP_FRAMES = 5.0
 """Frames: standard deviation over time of what feet say about a depth trajectory; steps are shorter. Chosen by eye."""
 SUPPOSED_SIGMA, SUPPOSED_ERROR_RATE = 0.06, 0.5
 """What is added to the error of a contact with ground that was not seen, by eye, and its chance to be wrong: of ten such objects
-six were more than .15 off (docs/results.md, "Contact, counted"), of five before it .4 was most likely."""
+six were more than .15 off (docs/notebook/2026-11.md, "Contact, counted"), of five before it .4 was most likely."""
 THROWN_SIGMA = 0.03
 """Standard deviation of the nearest bound at several bounces; of a single one it is half as much more. Chosen by eye."""
 FOOT_REACH = 0.15

@@ -23,10 +23,10 @@ MIN_TRACKS, MIN_FRAMES = 16, 10
 """Tracks on an object, and frames with any, below which no motion is solved. Chosen by eye."""
 MAX_SPLIT_HALF_SIGMA = 0.04
 """Standard deviation over time between ln z of two solutions from halves of the tracks, above which none is believed. Chosen on
-random worlds of seeds 0 to 14 (docs/results.md)."""
+random worlds of seeds 0 to 14 (docs/notebook/2026-11.md)."""
 MIN_INLIER_SHARE = 0.7
 """Share of the observations that must lie within ``rigid.INLIER_PIXELS`` of the solution. Chosen on random worlds of seeds 0 to
-14 (docs/results.md)."""
+14 (docs/notebook/2026-11.md)."""
 MIN_RIGID_SHARE = 0.85
 """Share of all observations on an object that its motion explains from which it does not bend, so that its points have one shape.
 Walkers have 68 to 82 %, what is rigid 87 to 98 (docs/method/objects.md)."""
@@ -39,7 +39,7 @@ LAW_ERROR_RATE = {"pivot": 0.05, "height": 0.05}
 """Chance that it has nothing to do with the truth."""
 MAX_PIVOT_REST, MIN_PIVOT_TURN = 0.2, 30.0
 """How far a pivot may move, as a share of what its body travels, and degrees that the body must turn: pendulums of four scenes have
-.03 to .08, what only looks like one .25 and more (docs/results.md, "Masks of what moves")."""
+.03 to .08, what only looks like one .25 and more (docs/notebook/2026-11.md, "Masks of what moves")."""
 MIN_CONTRADICTION_SIGMA = 0.15
 """Standard deviation over time between ln z by motion and by growth from which the ground decides which of them is right
 (docs/method/objects.md)."""

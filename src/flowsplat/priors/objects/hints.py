@@ -33,7 +33,7 @@ depth is filled in from around, and on a car's shadow it was .15 to .28 too near
 TOUCH_DEPTH_SHARE = 0.3
 """Of an object's half width: standard deviation of how much nearer than its middle the place is where it touches. A cart's near
 wheel stands before it: such a hint was -.07 off and called itself sure to 2 %; those of a car, a walker and a hoop were +.02, .00
-and +.01 off (docs/results.md, "Contact, counted")."""
+and +.01 off (docs/notebook/2026-11.md, "Contact, counted")."""
 WARN_DIFFERENCE = 0.05
 """In ln: from here on a warning says that ground and depth behind a contact differ. Chosen by eye."""
 HINT_ERROR_RATE = 0.02

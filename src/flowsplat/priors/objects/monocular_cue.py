@@ -32,8 +32,8 @@ MONOCULAR_ERROR_RATE = 0.1
 """Chance that monocular depth of an object has nothing to do with it, though that of what rests is right. Chosen by eye."""
 ERROR_RATIO = 1.5
 """Error of what moves over that of what rests, to which the source is fitted. Chosen between stand-ins of 4 and 8 % (1.4 and 1.7,
-on workshop and two worlds below 900) and two poor networks (2.4 and 2.6, on workshop; docs/results.md, "Monocular depth as a
-cue")."""
+on workshop and two worlds below 900) and two poor networks (2.4 and 2.6, on workshop; docs/notebook/2026-11.md, "Monocular depth as
+a cue")."""
 RIM = 2
 """Pixels of an object's rim that are left out: networks blur it. Chosen by eye."""
 MIN_COVERAGE = 0.5

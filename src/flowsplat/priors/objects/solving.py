@@ -29,7 +29,7 @@ from flowsplat.priors.objects.shape_offset import EXPECTED_OFFSET_SIGMA, ShapePo
 
 MAX_MONOCULAR_SIGMA_SHARE = 0.5
 """Of the standard deviation without it: that of monocular depth which may speak, too. Of two poor networks, on workshop and garden,
-seven objects of seven then stay where they are; with 1 one moved by .04 (docs/results.md, "Monocular depth as a cue")."""
+seven objects of seven then stay where they are; with 1 one moved by .04 (docs/notebook/2026-11.md, "Monocular depth as a cue")."""
 MIN_TRACK_FRAMES = 5
 """Frames in which a track must be seen to tell of an object. Chosen by eye."""
 MIN_INSIDE_SHARE = 0.7

@@ -21,7 +21,7 @@ IMAGE = "clicks.png"
 
 BOX_FRAME_GAP, CLICK_FRAME_GAP = 1, 3
 """Training frames to the one that a box is matched with, and a click alone, whose own motion must be told from all else. Chosen
-on tuned scenes and random worlds (docs/results.md, Clicks and boxes)."""
+on tuned scenes and random worlds (docs/notebook/2026-11.md, Clicks and boxes)."""
 
 _CLICK_COLOR, _BESIDE_COLOR, _BOX_COLOR = (60, 230, 60), (240, 50, 50), (255, 220, 0)
 """Red, green and blue in which clicks on and beside an object and boxes are drawn. Chosen by eye."""

@@ -36,7 +36,7 @@ MAX_FIT_PIXELS, MIN_FIT_PIXELS = 4000, 50
 
 EVIDENCE_WEIGHT, MAX_EVIDENCE, SURE_EVIDENCE = 0.5, 3.0, 1.5
 """Weight of what all frames say, the most that evidence counts (a logarithm to base 2), and what is sure of it. The first was
-chosen on tuned scenes and random worlds (docs/method/masks.md; docs/results.md, Clicks and boxes)."""
+chosen on tuned scenes and random worlds (docs/method/masks.md; docs/notebook/2026-11.md, Clicks and boxes)."""
 
 MIN_MOVING_SHARE = 0.08
 """Share of a box that must surely move for evidence to decide in it (docs/method/masks.md)."""

@@ -35,7 +35,7 @@ MAX_GRAY_DIFFERENCE = 30.0
 
 CARRIED_EVIDENCE = 2.0
 """Evidence, a logarithm to base 2, that what was carried is the object; it falls to its negative within ``EDGE_BAND`` of the
-edge. Chosen on tuned scenes and random worlds (docs/method/masks.md; docs/results.md, Clicks and boxes)."""
+edge. Chosen on tuned scenes and random worlds (docs/method/masks.md; docs/notebook/2026-11.md, Clicks and boxes)."""
 
 MAX_BANDS = 3.0
 """Bands round what was carried within which the object may be. Chosen by eye."""

@@ -1,0 +1,241 @@
+"""Benchmark ``all``: cells are done once at a commit, failures are kept and shown, and pages say what was measured where."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from flowsplat.common.errors import InputError
+from flowsplat_benchmarks.oracles import benchmark as oracles
+from flowsplat_benchmarks.results import benchmark, jobs
+from flowsplat_benchmarks.results.cells import Cell, choose_cells, list_cells
+from flowsplat_benchmarks.results.jobs import JOBS, list_missing
+from flowsplat_benchmarks.results.pages import format_pages
+from flowsplat_benchmarks.results.records import Record, read_records, write_record
+from flowsplat_benchmarks.results.rows import Records, compare
+from tests.flowsplat_benchmarks.ablations.test_training_runs import call, refuse
+
+CELLS = [
+    Cell("rig", "tiny", "own", 0, 20.0, "rig"),
+    Cell("rig", "tiny", "own", 1, 30.0, "rig"),
+    Cell("rig", "gone", "own", 0, 9.0, "rig"),
+]
+
+
+def record(psnr: float | None, commit: str = "aaaaaaa", *, benchmark: str = "davis", scene: str = "bear", variant: str = "given",
+           seed: int = 0, failure: str | None = None, **figures: object) -> Record:  # fmt: skip
+    ours = {} if psnr is None else {"ours": {"psnr": psnr, "ssim": None, "lpips": None, "moving": {"psnr": psnr - 3}}}
+    known = {"protocol": benchmark, "scene": scene, "size": [854, 480], "variant": "given masks", "settings": "default"}
+    result = {**known, **ours, **figures} if failure is None else {}
+    return Record(benchmark, scene, variant, seed, commit, "two cores", 2, 10.0, failure, result)
+
+
+def line(page: str, name: str) -> list[str]:
+    """The cells of the first row of a page that begins with a name."""
+    found = next(each for each in page.splitlines() if each.startswith(f"| {name}"))
+    return [cell.strip() for cell in found.strip("|").split(" | ")]
+
+
+@pytest.fixture
+def done(monkeypatch, in_this_process):
+    """Stands in for what is measured; ``tiny`` with seed 1 fails."""
+    names = []
+
+    def measure(cell, root, work):
+        names.append(cell.name)
+        if cell.seed:
+            raise InputError("it is torn")
+        return {"ours": {"psnr": 31.5}}
+
+    monkeypatch.setattr(benchmark, "measure_cell", measure)
+    monkeypatch.setattr(benchmark, "list_cells", lambda: CELLS)
+    monkeypatch.setattr(benchmark, "describe_commit", lambda: "aaaaaaa")
+    return names
+
+
+def test_a_cell_is_done_once_at_a_commit(data_root, tmp_path, done, monkeypatch, capsys):
+    arguments = ("all", data_root, "-o", tmp_path)
+    assert "1 of 2 cells could not be run, first rig_tiny_own_seed1: it is torn" in refuse(capsys, *arguments)
+    assert done == ["rig_tiny_own_seed0", "rig_tiny_own_seed1"], "what is not in the data root is left out"
+    first, second = (json.loads((tmp_path / "cells" / f"{name}.json").read_text()) for name in done)
+    assert (first["commit"], first["result"], first["failure"]) == ("aaaaaaa", {"ours": {"psnr": 31.5}}, None)
+    assert first["threads"] >= 1
+    assert first["seconds"] >= 0
+    assert first["machine"]
+    assert (second["failure"], second["result"]) == ("it is torn", {})
+
+    call(*arguments)
+    assert len(done) == 2, "also what failed is not tried again by itself"
+    call(*arguments, "--dry-run")
+    told = capsys.readouterr().out
+    assert "rig_tiny_own_seed0: done in" in told
+    assert "rig_tiny_own_seed1: failed: it is torn" in told
+    assert "rig_gone_own_seed0: left out, rig/gone is not in the data root" in told
+    refuse(capsys, *arguments, "--retry-failed")
+    assert done[2:] == ["rig_tiny_own_seed1"]
+
+    monkeypatch.setattr(benchmark, "describe_commit", lambda: "bbbbbbb")
+    call(*arguments, "--seeds", "0")
+    assert done[3:] == ["rig_tiny_own_seed0"], "a cell of another commit is measured anew"
+    assert "rig_tiny_own_seed1: to do" in "\n".join(benchmark.describe_plan(CELLS[:2], [], tmp_path))
+
+
+def test_the_rest_is_estimated_by_what_is_done(tmp_path, monkeypatch):
+    monkeypatch.setattr(benchmark, "describe_commit", lambda: "aaaaaaa")
+    cells = [Cell("rig", "tiny", "own", seed, seconds) for seed, seconds in ((0, 60.0), (1, 600.0), (2, 60.0))]
+
+    def finish(cell: Cell, seconds: float) -> list[str]:
+        job = benchmark.make_measurement(cell, tmp_path, tmp_path)
+        assert job.path is not None
+        job.path.parent.mkdir(exist_ok=True)
+        written = Record("rig", "tiny", "own", cell.seed, "aaaaaaa", "a machine", 1, seconds, None, {})
+        job.path.write_text(json.dumps({**written.to_json(), "key": job.key}))
+        return benchmark.describe_plan(cells, [], tmp_path)
+
+    told = finish(cells[0], 240.0)
+    assert told[2] == "rig_tiny_own_seed2: to do, about 1 min 0 s", "of a short one starting is most"
+    told = finish(cells[1], 1080.0)
+    assert told[2] == "rig_tiny_own_seed2: to do, about 2 min 0 s"
+    assert told[-1] == "3 cells, 2 done at aaaaaaa; the rest takes about 2 min 0 s."
+
+
+def test_records_are_kept_beside_the_pages(tmp_path):
+    write_record(
+        tmp_path / "docs" / "records" / "rig_street_own_seed0.json", record(28.0, benchmark="rig", scene="street", variant="own")
+    )
+    (tmp_path / "out" / "cells").mkdir(parents=True)
+    write_record(tmp_path / "out" / "cells" / "davis_bear_given_seed0.json", record(35.2))
+    page = benchmark.write_report(tmp_path / "out", tmp_path / "docs")
+    assert page == tmp_path / "docs" / "index.md"
+    assert len(read_records(tmp_path / "docs" / "records")) == 2
+    assert "**35.20 (32.20)**" in page.read_text()
+    assert "28.00 (25.00)" in page.read_text()
+    elsewhere = benchmark.write_report(tmp_path / "out").read_text()
+    assert "35.20" in elsewhere
+    assert "](../" not in elsewhere, "these pages stand alone"
+
+
+def test_a_row_says_where_it_was_measured_and_what_failed():
+    found = [
+        record(35.0, refined={"psnr": 35.5}), record(36.0, "bbbbbbb"), record(37.0, "bbbbbbb", seed=1),
+        record(None, "bbbbbbb", seed=2, failure="out of\nmemory | <really>"), record(None, scene="train", failure="it is torn"),
+    ]  # fmt: skip
+    page = format_pages(Records(found))["real_clips"]
+    cells = line(page, "bear")
+    assert cells[1] == "36.50 (33.50)", "the mean of the seeds at the newest commit"
+    assert cells[3] == "–", "refined poses of an older commit do not stand beside it"
+    assert cells[-1] == "bbbbbbb, 2 seeds; seed 2 failed at bbbbbbb: out of memory \\| &lt;really>"
+    assert line(page, "train")[1:] == ["failed", *["–"] * 4, "seed 0 failed at aaaaaaa: it is torn"]
+    assert line(page, "camel")[1:] == ["not measured", *["–"] * 5]
+    assert "- bbbbbbb: two cores, 2 threads" in page
+    assert "| **flowsplat** | **36.50 (33.50)** | **not measured** | **failed** |" in format_pages(Records(found))["index"]
+
+
+def test_without_records_nothing_is_said_to_be_measured():
+    for name, page in format_pages(Records([])).items():
+        assert "not measured" in page, name
+        assert len(page.encode()) < 8192, name
+
+
+def test_differences_are_of_one_commit():
+    def run(variant, psnr, commit, seed=0):
+        result = {"psnr": psnr, "moving": psnr - 3}
+        return Record("ablations", "bear", variant, seed, commit, "two cores", 2, 10.0, None, result)
+
+    found = [run("full", 34.0, "aaaaaaa"), run("no-q", 33.0, "aaaaaaa"), run("full", 36.0, "bbbbbbb")]
+    effect, row = compare(Records(found), "ablations", ["bear"], ("no-q", "full"), ("psnr",))
+    assert effect is not None
+    assert (effect.mean, row.status()) == (-1.0, "aaaaaaa"), "the newer base has no such row beside it"
+    effect, row = compare(Records([*found, run("no-q", 35.5, "bbbbbbb")]), "ablations", ["bear"], ("no-q", "full"), ("psnr",))
+    assert effect is not None
+    assert (effect.mean, row.status()) == (-0.5, "bbbbbbb")
+
+
+def test_bad_records_are_a_line(data_root, tmp_path, capsys):
+    cells = tmp_path / "cells"
+    cells.mkdir()
+
+    def told(text: str) -> str:
+        (cells / "a.json").write_text(text)
+        return refuse(capsys, "all", data_root, "-o", tmp_path, "--report-only")
+
+    good = record(35.0).to_json()
+    assert "a.json is not readable JSON" in told("{")
+    assert "a.json is damaged" in told(json.dumps({**good, "seed": "x"}))
+    assert "is of version 99" in told(json.dumps({**good, "version": 99}))
+    assert "ours.psnr is no number" in told(json.dumps({**good, "result": {"ours": {"psnr": "many"}}}))
+    assert "lacks figures of its objects" in told(json.dumps({**good, "benchmark": "objects", "scene": "plain-900"}))
+    assert "a.json is damaged" in told(json.dumps([good, 3]))
+    assert not (tmp_path / "pages").exists()
+
+
+def test_the_plan():
+    cells = list_cells()
+    assert len({cell.name for cell in cells}) == len(cells)
+    assert [cell.seconds for cell in cells] == sorted(cell.seconds for cell in cells)
+    assert sum(cell.seconds for cell in cells) < 12 * 3600, "a night"
+    assert {cell.benchmark for cell in cells} == set(JOBS)
+    assert [cell.name for cell in choose_cells(cells, ["fields"], [])] == [
+        "fields_bear_t-nerf_seed0",
+        "fields_bear_hypernerf_seed0",
+    ]
+    assert {cell.seed for cell in choose_cells(cells, ["rig"], [1])} == {1}
+    with pytest.raises(InputError, match="--only nothing: no benchmark, scene or cell is called so"):
+        choose_cells(cells, ["nothing"], [])
+    with pytest.raises(InputError, match="--seeds 7"):
+        choose_cells(cells, [], [7])
+    with pytest.raises(InputError, match="is no folder"):
+        list_missing(Path("/missing"), cells)
+
+
+def test_each_benchmark_is_asked_for_its_part(data_root, tmp_path, monkeypatch):
+    asked = {}
+    monkeypatch.setattr(jobs, "measure_case", lambda case, folder, strip: asked.update(case=case, folder=folder) or {})
+    jobs.measure_cell(Cell("davis", "clip", "own-427", 3, 1.0), data_root, tmp_path)
+    case = asked["case"]
+    assert (case.variant, case.config.train.seed, case.config.input.resize) == ("own masks", 3, 427)
+    assert case.lent is not None
+    assert case.lent[1].resize == 427, "masks that only measure are as large as the images"
+    jobs.measure_cell(Cell("rig", "tiny", "true", 0, 1.0), data_root, tmp_path)
+    assert (asked["case"].variant, asked["folder"]) == ("true priors", tmp_path / "rig_tiny_true_seed0")
+
+    runs = []
+    monkeypatch.setattr(jobs.TrainingRun, "_measure", lambda run, out: runs.append(run) or {})
+    for benchmark_name, variant in (("ablations", "no-mu"), ("caps", "50000"), ("caps", "free"), ("caps", "400-steps")):
+        jobs.measure_cell(Cell(benchmark_name, "clip", variant, 1, 1.0), data_root, tmp_path)
+    assert [run.scene.name for run in runs] == ["clip_427"] * 4
+    assert [(run.config.iterations, run.config.gaussians) for run in runs[1:]] == [(1600, 50_000), (1600, 0), (400, 200_000)]
+    assert (runs[0].config.seed, runs[0].config.model.move_means) == (1, False)
+
+
+def test_the_other_benchmarks_are_asked_for_their_part(data_root, tmp_path, monkeypatch):
+    def do(*cell: str | int) -> object:
+        return jobs.measure_cell(Cell(*cell, 1.0), data_root, tmp_path)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(jobs.priors, "measure_scene", lambda scene, folder: (scene.kind, scene.name, folder.name))
+    assert do("priors", "pair", "", 0) == ("pair", "pair", "priors_pair_seed0")
+    monkeypatch.setattr(jobs.objects, "measure_world", lambda world, *_, kind, again: (world, kind, again))
+    assert do("objects", "plain-904", "", 0) == (904, "any", False)
+    assert do("objects", "dancers-900", "", 0) == (900, "dancers", False)
+    monkeypatch.setattr(oracles.OracleRun, "_measure", lambda run, out: (run.oracle, run.case.config.train.iterations))
+    assert do("oracles", "tiny", "outline", 0) == ("outline", 1000)
+    with pytest.raises(InputError, match="too few to hold any out"):
+        do("models", "clip", "splines", 0)
+    monkeypatch.setattr(jobs.growth, "enlarge", lambda _, side, path: path)
+    monkeypatch.setattr(jobs.growth, "measure", lambda case: (case.kind, case.frames, case.side))
+    assert do("growth", "frames-80", "", 0) == ("frames", 80, 320)
+    assert do("growth", "pixels-640", "", 0) == ("pixels", 16, 640)
+
+
+def test_a_field_is_trained_as_long_as_default(data_root, tmp_path, monkeypatch):
+    trained = []
+    monkeypatch.setattr(jobs.TrainingRun, "_measure", lambda run, out: trained.append(run.protocol) or {"seconds": {"train": 9.0}})
+    monkeypatch.setattr(
+        jobs.fields, "measure", lambda run, out: {"field": run.field, "budget": jobs.fields._read_seconds(run, out)}
+    )
+    for _ in range(2):
+        found = jobs.measure_cell(Cell("fields", "clip", "t-nerf", 0, 1.0), data_root, tmp_path)
+        assert (found["field"], found["budget"], found["default"]["seconds"]) == ("t-nerf", 9.0, {"train": 9.0})
+    assert trained == ["fields"], "default is trained once"
