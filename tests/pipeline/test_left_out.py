@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,12 +15,12 @@ from flowsplat.common.settings import with_settings
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.fitting import train
 from flowsplat.pipeline.folder import RunFolder
-from flowsplat.pipeline.left_out import word_left_out, word_left_out_after
+from flowsplat.pipeline.left_out import measure_object_step, word_left_out, word_left_out_after
 from flowsplat.pipeline.speed import Speed, estimate_seconds, estimate_seconds_with
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.ingest import ingest, open_clip
-from flowsplat.scenes.layers import write_image
+from flowsplat.scenes.layers import Flow, write_image
 from flowsplat.training import clip_length
 
 
@@ -54,6 +55,28 @@ def test_a_measured_run_tells_by_what_it_took(folder, tmp_path):
     said = word_left_out_after(scene, config, {"seconds": {"train": 500.0, "flow": 100.0}})
     assert f"takes about {600 * longer / 60:.0f} minutes" in str(said)
     assert word_left_out_after(scene, config, {}) is None
+
+
+def test_how_far_what_moves_goes_is_said(folder, tmp_path):
+    options = InputOptions(max_frames=20)
+    scene = ingest(open_clip(folder, options), tmp_path / "scene", options)
+    assert measure_object_step(scene) is None
+    frames, measured = scene.train_frames, {"seconds": {"train": 500.0}}
+    mask, flow = np.zeros((48, 64), np.uint8), np.full((48, 64, 2), (-2, 1), np.float32)
+    mask[10:20, 10:30] = 1
+    flow[mask > 0] += (3, 4)
+    for i, j in pairwise(frames):
+        scene.write_flow(Flow(i, j, flow, np.ones((48, 64), np.float32)))
+    assert measure_object_step(scene) is None, "there are no masks"
+    for i in frames:
+        scene.write_mask(i, mask)
+    assert measure_object_step(scene) == pytest.approx(5, abs=0.05)
+    assert "8 a second; what moves goes 5 pixels from one to the next: --max-frames 60" in str(
+        word_left_out_after(scene, RunConfig(), measured)
+    )
+    for i in frames:
+        scene.write_mask(i, mask * 0)
+    assert measure_object_step(scene) is None, "nothing moves"
 
 
 def test_nothing_is_said_where_all_frames_are_used(folder, tmp_path):
