@@ -221,8 +221,10 @@ def test_the_other_benchmarks_are_asked_for_their_part(data_root, tmp_path, monk
     assert do("objects", "dancers-900", "", 0) == (900, "dancers", False)
     monkeypatch.setattr(oracles.OracleRun, "_measure", lambda run, out: (run.oracle, run.case.config.train.iterations))
     assert do("oracles", "tiny", "outline", 0) == ("outline", 1000)
-    with pytest.raises(InputError, match="too few to hold any out"):
-        do("models", "clip", "splines", 0)
+    monkeypatch.setattr(
+        jobs.TrainingRun, "_measure", lambda run, _: (run.scene.name, run.variant.name, run.config.seed, run.measure_more)
+    )
+    assert do("models", "clip", "splines", 1) == ("clip_427_gaps", "splines", 1, jobs.measure_motion)
     monkeypatch.setattr(jobs.growth, "enlarge", lambda _, side, path: path)
     monkeypatch.setattr(jobs.growth, "measure", lambda case: (case.kind, case.frames, case.side))
     assert do("growth", "frames-80", "", 0) == ("frames", 80, 320)
