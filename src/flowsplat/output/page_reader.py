@@ -5,8 +5,6 @@ docs/container.md describes the layout, for readers in other languages; this is 
 
 from __future__ import annotations
 
-import base64
-import binascii
 import re
 import zlib
 from dataclasses import dataclass
@@ -20,8 +18,9 @@ from typing_extensions import TypedDict
 from flowsplat.common.errors import InputError
 from flowsplat.common.files.json_file import Count, Number, Pixels, Positive, SimilarityFile, Text, decode_json
 from flowsplat.common.files.opening import read_bytes
+from flowsplat.output.text_encoding import decode_text
 
-VERSION = 1
+VERSION = 2
 MAX_PAGE_BYTES = 2**30
 """Bytes of a page; one of a million Gaussians has 50 million. A round number."""
 MAX_RATIO = 50
@@ -34,17 +33,16 @@ _MIN_BOUND_BYTES = 2**24
 
 _SHOTS_ELEMENT = re.compile(rb'<script type="application/json" class="page">')
 _HEADER_ELEMENT = re.compile(rb'<script id="about" type="application/json">([^<]*)</script>')
-_DATA_ELEMENT = re.compile(rb'<script id="data" type="application/octet-stream">([^<]*)</script>')
+_DATA_ELEMENT = re.compile(rb'<script id="data" type="[^"<>]*">([^<]*)</script>')
 
 
 class ArrayFile(TypedDict):
     """What the header says of an array."""
 
     name: Text
-    bits: Literal[8, 16]
+    bits: Literal[8, 16, 24]
     count: Count
     components: Annotated[int, Meta(ge=0, le=1000)]
-    chunks: Count
     chunk: Annotated[int, Meta(ge=1, le=10_000_000)]
     delta: bool
 
@@ -59,6 +57,7 @@ class HeaderFile(TypedDict):
     first: Number
     last: Number
     frames: Count
+    bytes: Annotated[int, Meta(ge=0, le=MAX_PAGE_BYTES)]
     resting: Count
     moving: Count
     objects: list[tuple[Count, Count]]
@@ -171,9 +170,11 @@ def read_page(path: str | Path) -> PageScene:
     header = decode_json(f"{path}, the header,", header_text[1], HeaderFile)
     _check_header(path, header)
     try:
-        packed = base64.b64decode(data_text[1].strip(), validate=True)
-    except (binascii.Error, ValueError) as error:
-        raise InputError(f"{path} is damaged: its data are no base64.") from error
+        packed = decode_text(data_text[1].decode(), header["bytes"])
+    except ValueError as error:
+        raise InputError(f"{path} is damaged: its data cannot be read.") from error
+    except MemoryError as error:
+        raise InputError(f"There is not enough memory to read {path}.") from error
     arrays = _read_arrays(path, header["arrays"], packed)
     for name, terms in (("logScales", 1), ("logLambdas", 1), ("gains", max(header["gains"], 1))):
         if name in arrays and np.abs(arrays[name]).max(initial=0) > MAX_EXPONENT / terms:
@@ -202,15 +203,17 @@ def _check_header(path: str | Path, header: dict[str, Any]) -> None:
         fits = array["components"] % components == 0 if name.endswith("Coefficients") else array["components"] == components
         if array["count"] != rows or not fits:
             raise InputError(f"{path} is damaged: its array {name} has {array['count']} rows of {array['components']} numbers.")
-        if array["chunks"] < -(-rows // array["chunk"]):
-            raise InputError(f"{path} is damaged: its array {name} has too few chunks.")
     if len(found) != len(header["arrays"]):
         raise InputError(f"{path} is damaged: two of its arrays have one name.")
 
 
+def _count_chunks(array: ArrayFile) -> int:
+    return -(-array["count"] // array["chunk"])
+
+
 def _count_bytes(array: ArrayFile) -> int:
-    """Return its bytes: low and step of every chunk, and the rounded numbers."""
-    return array["components"] * (8 * array["chunks"] + array["count"] * array["bits"] // 8)
+    """Return its bytes: the steps of every chunk, and the rounded numbers."""
+    return array["components"] * (4 * _count_chunks(array) + array["count"] * array["bits"] // 8)
 
 
 def _read_arrays(path: str | Path, about: list[ArrayFile], packed: bytes) -> dict[str, np.ndarray]:
@@ -234,18 +237,22 @@ def _read_arrays(path: str | Path, about: list[ArrayFile], packed: bytes) -> dic
 
 def _read_array(path: str | Path, about: ArrayFile, body: bytes) -> np.ndarray:
     """Return [count, components] float32."""
-    count, components, chunks, bits = about["count"], about["components"], about["chunks"], about["bits"]
-    scales = np.frombuffer(body, "<f4", 2 * chunks * components).reshape(2, chunks, components)
-    if not np.isfinite(scales).all() or np.abs(scales).max(initial=0) > 1e12:
+    count, components, chunk, chunks = about["count"], about["components"], about["chunk"], _count_chunks(about)
+    step = np.frombuffer(body, "<f4", chunks * components).reshape(components, chunks)
+    if not np.isfinite(step).all() or np.abs(step).max(initial=0) > 1e12:
         raise InputError(f"{path} is damaged: its array {about['name']} has steps that are no numbers.")
-    planes = np.frombuffer(body[scales.nbytes :], np.uint8).reshape(components, bits // 8, count).astype(np.uint32)
-    q = planes[:, 0] if bits == 8 else planes[:, 0] << 8 | planes[:, 1]
-    if about["delta"]:
-        difference = (q >> 1).astype(np.int64) ^ -(q & 1).astype(np.int64)
-        q = np.cumsum(difference, axis=1) & ((1 << bits) - 1)
-    rows = np.arange(count) // about["chunk"]
-    low, step = scales
-    return low[rows] + step[rows] * q.T.astype(np.float32)
+    planes = np.frombuffer(body[step.nbytes :], np.uint8).reshape(components, about["bits"] // 8, count)
+    z = np.zeros((components, count), np.int64)
+    for k in range(planes.shape[1]):
+        z = z << 8 | planes[:, k]
+    q = z >> 1 ^ -(z & 1)
+    if about["delta"] and count:
+        # Sums begin anew in every chunk.
+        total = np.cumsum(q, axis=1)
+        starts = np.arange(0, count, chunk)
+        before = (total - q)[:, starts]
+        q = total - before[:, np.arange(count) // chunk]
+    return np.ascontiguousarray((step[:, np.arange(count) // chunk] * q.astype(np.float32)).T)
 
 
 def _chebyshev(coefficients: np.ndarray, s: np.ndarray, components: int) -> np.ndarray:

@@ -347,6 +347,17 @@ def test_the_file_is_no_larger_than_it_may_be_and_hardly_smaller(tmp_path, run, 
     assert same.stat().st_size == whole
 
 
+def test_how_far_a_page_may_be_pulled_is_measured_once(tmp_path, run, monkeypatch):
+    from flowsplat.output.videos import amplitudes
+
+    measured: list[int] = []
+    real = amplitudes.loop_widths
+    monkeypatch.setattr(amplitudes, "loop_widths", lambda model, scene: measured.append(len(model.gaussians)) or real(model, scene))
+    model, scene = small_model(resting=4000, moving=3000), Scene(run / "scene")
+    export_scene(model, scene, "html", tmp_path / "small.html", ExportOptions(size_mb=0.25))
+    assert measured == [7000]
+
+
 def test_a_page_that_cannot_be_that_small_is_not_written(capsys, tmp_path, run):
     (tmp_path / "a.html").write_text("the page of before")
     code, line = export(capsys, run, "--to", "html", "--size-mb", "0.01", "-o", tmp_path / "a.html")

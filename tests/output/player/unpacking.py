@@ -26,20 +26,20 @@ def unpack(about: dict[str, Any], data: bytes) -> dict[str, np.ndarray]:
         return array
 
     for array in about["arrays"]:
-        count, components, chunks = array["count"], array["components"], array["chunks"]
-        low = take("<f4", chunks * components).reshape(chunks, components)
-        step = take("<f4", chunks * components).reshape(chunks, components)
+        count, components, chunk = array["count"], array["components"], array["chunk"]
+        chunks = (count + chunk - 1) // chunk
+        steps = take("<f4", chunks * components).reshape(components, chunks)
         columns = []
-        for _ in range(components):
-            q = take("u1", count).astype(np.int64)
-            if array["bits"] == 16:
-                q = q * 256 + take("u1", count)
+        for c in range(components):
+            z = np.zeros(count, np.int64)
+            for _ in range(array["bits"] // 8):
+                z = z * 256 + take("u1", count)
+            q = np.where(z % 2 == 1, -(z + 1) // 2, z // 2)
             if array["delta"]:
-                q = np.cumsum(np.where(q % 2 == 1, -(q + 1) // 2, q // 2)) % (1 << array["bits"])
-            columns.append(q)
-        q = np.stack(columns, 1) if columns else np.zeros((count, 0), np.int64)
-        rows = np.arange(count) // array["chunk"]
-        result[array["name"]] = low[rows] + step[rows] * q.astype(np.float32)
+                parts = [np.cumsum(q[start : start + chunk]) for start in range(0, count, chunk)]
+                q = np.concatenate(parts) if parts else q
+            columns.append(np.repeat(steps[c], chunk)[:count] * q.astype(np.float32))
+        result[array["name"]] = np.stack(columns, 1) if columns else np.zeros((count, 0), np.float32)
     assert at == len(body)
     return result
 

@@ -16,7 +16,7 @@ from flowsplat.common.files import make_folder
 from flowsplat.common.progress import as_one, report
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Camera
-from flowsplat.output.export.formats import EXPORTERS, Exporter
+from flowsplat.output.export.formats import EXPORTERS, Write
 from flowsplat.output.export.importance import choose_most_important
 from flowsplat.output.export.options import ExportOptions
 from flowsplat.output.export.still import middle_or
@@ -61,13 +61,14 @@ def export_scene(
     make_folder(path if exporter.is_folder else path.parent)
     if exporter.has_gaussians and not exporter.keeps_slopes and model.gaussians.has_slopes:
         model = _without_slopes(model, scene, to, options, one_color)
+    write = exporter.write if exporter.begin is None else exporter.begin(model, scene)
     if options.max_gaussians is not None and exporter.has_gaussians:
         model = choose_most_important(model, _list_views(scene), options.max_gaussians)
     if options.size_mb is not None:
-        model = _fit_size(model, scene, exporter, path.name, options, 1e6 * options.size_mb)
+        model = _fit_size(model, scene, write, path.name, options, 1e6 * options.size_mb)
     what = f"{len(model.gaussians):,} Gaussians" if exporter.has_gaussians else f"{scene.num_frames} cameras"
     report(f"{what} as {to}: about {_readable(exporter.estimate_bytes(model, scene, options))} in {path}")
-    exporter.write(path, model, scene, options)
+    write(path, model, scene, options)
     if not path.exists():
         raise InputError(f"Nothing was written: format {to} made no {path}.")
     if exporter.note is not None:
@@ -77,13 +78,13 @@ def export_scene(
     return path
 
 
-def _fit_size(model: SceneModel, scene: Scene, exporter: Exporter, name: str, options: ExportOptions, most: float) -> SceneModel:
+def _fit_size(model: SceneModel, scene: Scene, write: Write, name: str, options: ExportOptions, most: float) -> SceneModel:
     """Return the scene with as many Gaussians as ``most`` bytes have room for: how many each takes is known when it is written."""
     with tempfile.TemporaryDirectory() as folder, as_one("Looking how many Gaussians have room"):
         trial = Path(folder) / name
 
         def measure(tried: SceneModel) -> int:
-            exporter.write(trial, tried, scene, options)
+            write(trial, tried, scene, options)
             return trial.stat().st_size
 
         count, size = len(model.gaussians), measure(model)

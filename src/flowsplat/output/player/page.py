@@ -22,6 +22,7 @@ from flowsplat.geometry import Camera
 from flowsplat.images.html import data_uri
 from flowsplat.output.player.camera_paths import camera_paths
 from flowsplat.output.player.pack import pack
+from flowsplat.output.text_encoding import encode_text
 from flowsplat.output.videos.amplitudes import DEFAULT_WIDTHS, LoopWidths
 
 SCRIPTS = (
@@ -32,6 +33,8 @@ SCRIPTS = (
 SHADERS = (
     "slice.glsl", "slice.frag", "splat.vert", "splat.frag", "whole.vert", "shrink.frag", "spread.frag", "present.frag",
 )  # fmt: skip
+DATA_OPENING = '<script id="data" type="text/plain">'
+"""Of the element in which the scene lies."""
 _POSTER_QUALITY = 80
 """Of the JPEG of the poster. Chosen by eye."""
 
@@ -65,9 +68,9 @@ def write_player(
         paths=cameras_about["paths"],
         policy=make_policy(script),
         poster=data_uri(np.ascontiguousarray(poster), _POSTER_QUALITY),
-        about=make_json({**packed.about, **cameras_about}),
+        about=make_json({**packed.about, "bytes": len(packed.data), **cameras_about}),
         shaders=make_json({name: read_asset(name) for name in SHADERS}),
-        data=Markup(base64.b64encode(packed.data).decode()),
+        data=Markup(encode_text(packed.data)),
         script=Markup(script),
     )
     write_text(path, page)

@@ -9,7 +9,7 @@ import jinja2
 from markupsafe import Markup
 
 from flowsplat.common.files import write_text
-from flowsplat.output.player.page import make_json, make_policy, player_script, read_asset
+from flowsplat.output.player.page import DATA_OPENING, make_json, make_policy, player_script, read_asset
 
 
 def write_sequence(path: Path, pages: Sequence[str], shots: Sequence[str], title: str) -> Path:
@@ -31,8 +31,15 @@ def write_sequence(path: Path, pages: Sequence[str], shots: Sequence[str], title
         shots=shots,
         # What a frame may do is bounded by what the page may, too.
         policy=make_policy(script, player_script()),
-        pages=[make_json(each) for each in pages],
+        pages=[_split(each) for each in pages],
         script=Markup(script),
     )
     write_text(path, page)
     return path
+
+
+def _split(page: str) -> tuple[Markup, Markup]:
+    """Return what stands round the data of a page, as JSON, and the data, which would take far more room as JSON."""
+    before, opening, rest = page.partition(DATA_OPENING)
+    data, closing, after = rest.partition("</script>")
+    return make_json([before + opening, closing + after]), Markup(data)

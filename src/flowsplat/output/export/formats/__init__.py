@@ -14,6 +14,8 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.output.export.options import ExportOptions
 from flowsplat.scenes import Scene
 
+Write = Callable[[Path, SceneModel, Scene, ExportOptions], None]
+
 
 @dataclass(frozen=True)
 class Exporter:
@@ -31,10 +33,12 @@ class Exporter:
         keeps_slopes: brightness may vary inside its Gaussians; otherwise each has one color, and what is lost is told.
         reader: dotted name of what in flowsplat reads it back.
         note: what is told of a file that was written: what of the clip it holds.
+        begin: measures on the whole scene what takes long, once for an export, and gives what takes the place of ``write``, with
+            the same arguments; None: there is nothing like it.
         embed: gives the HTML that shows a file in another page; it takes ``embed``.
     """
 
-    write: Callable[[Path, SceneModel, Scene, ExportOptions], None]
+    write: Write
     estimate_bytes: Callable[[SceneModel, Scene, ExportOptions], int]
     default_name: str
     is_of_one_time: bool = False
@@ -44,6 +48,7 @@ class Exporter:
     reader: str | None = None
     note: str | None = None
     embed: Callable[[Path, Scene], str] | None = None
+    begin: Callable[[SceneModel, Scene], Write] | None = None
 
     @property
     def is_folder(self) -> bool:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from flowsplat.common.registry import Entry
 from flowsplat.gaussians.model import SceneModel
-from flowsplat.output.export.formats import EXPORTERS, Exporter
+from flowsplat.output.export.formats import EXPORTERS, Exporter, Write
 from flowsplat.output.export.options import ExportOptions
 from flowsplat.scenes import Scene
 
@@ -20,10 +20,20 @@ _NOTE = (
 
 def write(path: Path, model: SceneModel, scene: Scene, options: ExportOptions) -> None:
     """Write one file."""
+    begin(model, scene)(path, model, scene, options)
+
+
+def begin(model: SceneModel, scene: Scene) -> Write:
+    """Measure how far the view may be turned, and return what writes pages that know it, also of fewer Gaussians."""
     from flowsplat.output.player.page import write_player
     from flowsplat.output.videos.amplitudes import loop_widths
 
-    write_player(path, model, scene.timestamps.tolist(), scene.cameras, scene.name, loop_widths(model, scene))
+    widths = loop_widths(model, scene)
+
+    def write_with_widths(path: Path, model: SceneModel, scene: Scene, options: ExportOptions) -> None:
+        write_player(path, model, scene.timestamps.tolist(), scene.cameras, scene.name, widths)
+
+    return write_with_widths
 
 
 def embed(path: Path, scene: Scene) -> str:
@@ -45,7 +55,7 @@ EXPORTERS.add(
         "html",
         "Page",
         "A page that plays the scene in any browser.",
-        Exporter(write, estimate_bytes, "player.html", keeps_slopes=True, note=_NOTE, embed=embed),
+        Exporter(write, estimate_bytes, "player.html", keeps_slopes=True, note=_NOTE, embed=embed, begin=begin),
         place=10,
     )
 )

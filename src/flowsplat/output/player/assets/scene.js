@@ -1,10 +1,27 @@
 // The embedded scene: from text to arrays of numbers (the layout is that of quantization.py).
 
-/** Base64 to bytes, compressed bytes to plain ones. */
-async function inflate(text) {
-  const binary = atob(text.trim());
-  const bytes = new Uint8Array(binary.length);
-  for (let i = 0; i < bytes.length; i++) bytes[i] = binary.charCodeAt(i);
+// As text_encoding.py.
+const FORBIDDEN = [0, 9, 10, 11, 12, 13, 26, 27, 32, 34, 38, 60, 62, 92, 127];
+
+/** Text to bytes: a character has seven bits, from 128 on it has two of FORBIDDEN's and others'. */
+function decodeText(text, count) {
+  const bytes = new Uint8Array(count);
+  let at = 0, bits = 0, held = 0;
+  const take = (seven) => {
+    held = ((held << 7) | seven) & 0x7fff;
+    bits += 7;
+    if (bits >= 8) bytes[at++] = held >> (bits -= 8);
+  };
+  for (let i = 0; i < text.length; i++) {
+    const character = text.charCodeAt(i);
+    if (character >= 128) take(FORBIDDEN[(character >> 7) - 1]);
+    take(character & 127);
+  }
+  return bytes;
+}
+
+/** Compressed bytes to plain ones. */
+async function inflate(bytes) {
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
@@ -13,27 +30,22 @@ async function inflate(text) {
 function readArrays(about, bytes) {
   const arrays = {};
   let at = 0;
-  const floats = (count) => {
-    const part = new Float32Array(bytes.slice(at, at + 4 * count).buffer);
-    at += 4 * count;
-    return part;
-  };
-  for (const { name, bits, count, components, chunks, chunk, delta } of about.arrays) {
-    const low = floats(chunks * components);
-    const step = floats(chunks * components);
+  for (const { name, bits, count, components, chunk, delta } of about.arrays) {
+    const chunks = Math.ceil(count / chunk);
+    const step = new Float32Array(bytes.slice(at, at + 4 * chunks * components).buffer);
+    at += 4 * chunks * components;
     const values = new Float32Array(count * components);
-    const mask = bits === 16 ? 0xffff : 0xff;
+    const planes = bits / 8;
     for (let c = 0; c < components; c++) {
-      const high = at;
-      if (bits === 16) at += count;
       let before = 0;
       for (let i = 0; i < count; i++) {
-        let q = bits === 16 ? (bytes[high + i] << 8) | bytes[at + i] : bytes[at + i];
-        if (delta) q = before = (before + ((q >>> 1) ^ -(q & 1))) & mask;
-        const box = Math.floor(i / chunk) * components + c;
-        values[i * components + c] = low[box] + step[box] * q;
+        let z = 0;
+        for (let k = 0; k < planes; k++) z = (z << 8) | bytes[at + k * count + i];
+        let q = (z >>> 1) ^ -(z & 1);
+        if (delta) q = before = i % chunk ? before + q : q;
+        values[i * components + c] = step[c * chunks + Math.floor(i / chunk)] * q;
       }
-      at += count;
+      at += planes * count;
     }
     arrays[name] = { values, components };
   }
@@ -64,7 +76,7 @@ function placesOfObjects(about, arrays) {
 
 /** The scene as the renderer and the sorter want it. */
 async function readScene(about, text) {
-  const arrays = readArrays(about, await inflate(text));
+  const arrays = readArrays(about, await inflate(decodeText(text, about.bytes)));
   return {
     about,
     arrays,

@@ -2,6 +2,7 @@
 // is shown. That one is unpacked meanwhile, so that there is no gap.
 
 const pages = [...document.querySelectorAll("script.page")];
+const data = [...document.querySelectorAll("script.data")];
 const buttons = [...document.querySelectorAll("button[data-number]")];
 const stage = document.getElementById("stage");
 document.body.classList.toggle("embedded", location.hash === "#embed");
@@ -16,7 +17,8 @@ function open(number) {
   frame.className = "waiting";
   frame.allow = "fullscreen";
   frame.dataset.number = number;
-  frame.srcdoc = JSON.parse(pages[number].textContent);
+  const [before, after] = JSON.parse(pages[number].textContent);
+  frame.srcdoc = before + data[number].textContent + after;
   stage.append(frame);
   return frame;
 }
