@@ -32,7 +32,7 @@ COLUMNS = 4
 TITLE = "Flow maps (the paper's figure)"
 
 
-def shown_frames(scene: Scene) -> tuple[int, int]:
+def choose_frames(scene: Scene) -> tuple[int, int]:
     """Return the frames whose flow is shown: the middle training frame, and the next one."""
     k = (len(scene.train_frames) - 1) // 2
     return scene.train_frames[k], scene.train_frames[k + 1]
@@ -47,7 +47,7 @@ def write_flow_map(out: Path, name: str, variant: str, model: SceneModel, scene:
     Raises:
         InputError: the folder cannot be written.
     """
-    i, j = shown_frames(scene)
+    i, j = choose_frames(scene)
     prior = scene.flow(i, j).flow
     scale = flow_scale([prior])
     times = [float(scene.timestamps[k]) for k in (i, j)]

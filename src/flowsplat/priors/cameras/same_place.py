@@ -82,7 +82,7 @@ class _Matches:
         return _Matches((a.points[i], b.points[j]), poses, intrinsics, (a.pixels[i], b.pixels[j]))
 
     @staticmethod
-    def joined(*parts: _Matches) -> _Matches:
+    def concatenate(*parts: _Matches) -> _Matches:
         """All of them."""
 
         def both(name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -131,7 +131,7 @@ def find_same_place(first: Scene, second: Scene) -> SamePlace | None:
     crossed = halves[0].distances(fits[1]), halves[1].distances(fits[0])
     if min(int((each < limit).sum()) for each in crossed) < MIN_MATCHES:
         return None  # What one half found, the other does not know.
-    every = _Matches.joined(halves[0], halves[1])
+    every = _Matches.concatenate(halves[0], halves[1])
     best = _refine(every, fits[0], limit)
     agreed = every.distances(best) < limit
     put = [every.project(1, fit.points(every.points[0]))[agreed] for fit in (fits[0], fits[1])]
@@ -166,7 +166,7 @@ def _match(pairs: Sequence[tuple[_Points, _Points]]) -> _Matches | None:
         there, back = (_best(a.descriptors, b.descriptors) for a, b in (pair, pair[::-1]))
         rows = np.flatnonzero((there >= 0) & (back[there] == np.arange(len(there))))
         parts.append(_Matches.of(pair, (rows, there[rows])))
-    joined = _Matches.joined(*parts) if parts else None
+    joined = _Matches.concatenate(*parts) if parts else None
     return joined if joined is not None and len(joined.points[0]) >= MIN_MATCHES else None
 
 
