@@ -22,7 +22,7 @@ from flowsplat_benchmarks.tables import Result
 
 FOLDER = "flow_maps"
 """Of the folder of results, with one image a run, and those of the scene."""
-SHOWN = {
+COMPARED_VARIANTS = {
     "4dgs": "baseline (4DGS)", "linear": "w/o 4D Gaussian", "no-velocity": "w/o velocity loss", "random": "w/o initialization",
     "full": "full",
 }  # fmt: skip
@@ -62,7 +62,7 @@ def write_flow_map(out: Path, name: str, variant: str, model: SceneModel, scene:
 def list_flow_maps(out: Path, results: Sequence[Result]) -> Iterator[dict[str, Any]]:
     """Yield what the page says of each scene of which there are maps, and write ``OUT/flow_maps/<name>.png`` with all of them."""
     for name, title in scene_names(results).items():
-        known = {"frame": "frame", "prior": "flow prior", **SHOWN}
+        known = {"frame": "frame", "prior": "flow prior", **COMPARED_VARIANTS}
         paths = {label: out / FOLDER / f"{name}_{each}.png" for each, label in known.items()}
         images = {label: read_image(path) for label, path in paths.items() if path.exists()}
         if len(images) <= 2:
@@ -73,4 +73,6 @@ def list_flow_maps(out: Path, results: Sequence[Result]) -> Iterator[dict[str, A
         sheet = stack([side_by_side([image for _, image in row], [label for label, _ in row]) for row in rows])
         write_image(out / FOLDER / f"{name}.png", sheet)
         shown = "Flow to the next training frame, rendered by flow splatting; hue is direction, white is rest"
-        yield scene_section(out, f"{TITLE}: {title}", f"{len(images) - 2} of {len(SHOWN)} rows", "", [(sheet, shown)], shown=shown)
+        yield scene_section(
+            out, f"{TITLE}: {title}", f"{len(images) - 2} of {len(COMPARED_VARIANTS)} rows", "", [(sheet, shown)], shown=shown
+        )

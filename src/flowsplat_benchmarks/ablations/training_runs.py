@@ -31,7 +31,7 @@ from flowsplat.training.per_frame import PerFrameModel, train_per_frame
 from flowsplat.training.scene_model import scene_model
 from flowsplat.training.static import static_config, static_start
 from flowsplat.training.trainer import Trainer
-from flowsplat_benchmarks.ablations.flow_maps import SHOWN, write_flow_map
+from flowsplat_benchmarks.ablations.flow_maps import COMPARED_VARIANTS, write_flow_map
 from flowsplat_benchmarks.ablations.scenes import AblationScene
 from flowsplat_benchmarks.ablations.variants import Variant
 from flowsplat_benchmarks.ablations.verdicts import Run
@@ -108,7 +108,12 @@ def measure(run: TrainingRun, path: Path, out: Path) -> dict[str, Any]:
     model, total = _train(run, scene)
     trained, used = time.perf_counter(), time.process_time() - processor
     metrics = evaluate(model, scene, baselines=False)
-    if run.protocol == "ablations" and run.variant.name in SHOWN and run.config.seed == 0 and isinstance(model, SceneModel):
+    if (
+        run.protocol == "ablations"
+        and run.variant.name in COMPARED_VARIANTS
+        and run.config.seed == 0
+        and isinstance(model, SceneModel)
+    ):
         write_flow_map(out, run.scene.case.scene, run.variant.name, model, scene)
     kind = "views" if scene.views else "frames"
     tested = metrics[f"heldout_{kind}"]

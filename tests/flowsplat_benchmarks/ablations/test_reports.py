@@ -41,7 +41,7 @@ def ablations() -> list[dict]:
 
 def test_flow_maps_are_shown_in_the_order_of_the_paper(tmp_path):
     (tmp_path / flow_maps.FOLDER).mkdir()
-    order = ["frame", "prior", *flow_maps.SHOWN]
+    order = ["frame", "prior", *flow_maps.COMPARED_VARIANTS]
     for k, name in enumerate(order):
         if name != "linear":
             write_image(tmp_path / flow_maps.FOLDER / f"bear_{name}.png", np.full((30, 40, 3), 10 + 30 * k, np.uint8))

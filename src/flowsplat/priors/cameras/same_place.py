@@ -17,22 +17,22 @@ from flowsplat.geometry import Camera, Similarity
 from flowsplat.geometry.cameras import MAX_COORDINATE
 from flowsplat.scenes import Scene
 
-FRAMES = 6
+COMPARED_FRAMES = 6
 """Frames of either clip that are compared, each with each. Chosen by eye."""
 MAX_FEATURES = 1500
 """SIFT features of a frame, at most. Chosen by eye."""
 MAX_RATIO = 0.8
 """Distance to the best match over that to the second best (Lowe's test)."""
-BORDER = 5
+OBJECT_BORDER = 5
 """Pixels around what moves that say nothing of the still scene. Chosen by eye."""
 MIN_MATCHES = 24
 """Matches of either half from which a similarity is looked for, and inliers that it needs. A chance match of 1,000 random ones by
 three points has far fewer. Chosen by eye."""
 MAX_PIXEL_SHARE = 0.01
 """Distance, as a share of the long side, up to which a point that was carried over agrees with its match. Chosen by eye."""
-REFINEMENTS = 10
+REFINEMENT_ROUNDS = 10
 """Rounds of least squares, at most."""
-ROUNDS = 600
+RANSAC_SAMPLES = 600
 """Samples of three matches that are tried: with a fifth of them right, one sample in 125 is. Seeded, so always the same."""
 
 
@@ -119,7 +119,9 @@ def find_same_place(first: Scene, second: Scene) -> SamePlace | None:
     """
     if any((scene.prior("depth") or {}).get("method") == "guess" for scene in (first, second)):
         return None
-    seen = [[_look(scene, scene.train_frames[k]) for k in spread(len(scene.train_frames), FRAMES)] for scene in (first, second)]
+    seen = [
+        [_look(scene, scene.train_frames[k]) for k in spread(len(scene.train_frames), COMPARED_FRAMES)] for scene in (first, second)
+    ]
     pairs = [(a, b) for a in seen[0] for b in seen[1]]
     halves = _match(pairs[::2]), _match(pairs[1::2])  # of different frames of the second clip
     limit = MAX_PIXEL_SHARE * max(first.width, first.height, second.width, second.height)
@@ -144,7 +146,7 @@ def _look(scene: Scene, i: int) -> _Points:
     depth, camera = scene.depth(i), scene.cameras[i]
     still = depth.trusted.astype(np.uint8)
     if scene.has_mask(i):
-        around = np.ones((2 * BORDER + 1, 2 * BORDER + 1), np.uint8)
+        around = np.ones((2 * OBJECT_BORDER + 1, 2 * OBJECT_BORDER + 1), np.uint8)
         still &= (cv2.dilate((scene.mask(i) > 0).astype(np.uint8), around) == 0).astype(np.uint8)
     gray = cv2.cvtColor(scene.frame(i), cv2.COLOR_RGB2GRAY)
     found, descriptors = cv2.SIFT.create(MAX_FEATURES).detectAndCompute(gray, still * 255)
@@ -183,7 +185,7 @@ def _fit(matches: _Matches, limit: float) -> Similarity | None:
     """Return the similarity that most of them agree with; None of fewer than ``MIN_MATCHES``."""
     rng = np.random.default_rng(0)
     best, most = None, 0
-    for _ in range(ROUNDS):
+    for _ in range(RANSAC_SAMPLES):
         rows = rng.choice(len(matches.points[0]), 3, replace=False)
         similarity = _align(matches.points[0][rows], matches.points[1][rows])
         if similarity is None:
@@ -196,7 +198,7 @@ def _fit(matches: _Matches, limit: float) -> Similarity | None:
 
 def _refine(matches: _Matches, similarity: Similarity, limit: float) -> Similarity:
     """Return the least squares of all that agree, again as long as more of them do."""
-    for _ in range(REFINEMENTS):
+    for _ in range(REFINEMENT_ROUNDS):
         agreed = matches.distances(similarity) < limit
         # What is twice as far away has twice as large errors: of depth, and of pixels.
         weights = 1 / matches.depths(1)[agreed] ** 2
