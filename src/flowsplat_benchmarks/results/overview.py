@@ -90,8 +90,7 @@ def _costs(records: Records) -> list[str]:
     ):
         value = row.value("seconds", key)
         rows.append((name, "" if value is None else f"{text(value, 0)} s", "–", row))
-    told = [
-        (name, seconds or ("failed" if row.failures() else NOT_MEASURED), gib, row.status() or "–")
-        for name, seconds, gib, row in rows
-    ]
+    told = []
+    for name, seconds, gib, row in rows:
+        told.append((name, seconds or ("failed" if row.failures() else NOT_MEASURED), gib, row.status() or "–"))
     return format_table(("", "time", "memory", "measured at"), told)
