@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from flowsplat_benchmarks.datasets.tables import read_published
 from flowsplat_benchmarks.results.cells import RENDERED
-from flowsplat_benchmarks.results.rows import NOT_MEASURED, Records, Row, Shown
+from flowsplat_benchmarks.results.rows import NOT_MEASURED, Records, Row, Shown, tell_whole_run
 from flowsplat_benchmarks.tables import format_table, text
 
 CLIPS = ("bear", "camel", "train", "lucia", "dance-twirl")
@@ -80,15 +80,17 @@ def _from_aside(records: Records) -> list[str]:
 def _costs(records: Records) -> list[str]:
     run = records.row("davis", "bear", "given")
     demo, first = records.row("demo", "street"), records.row("demo", "first")
-    rows = []
-    for name, row, path in (
-        ("bear, 82 frames of 854x480, video to page and videos", run, ("whole_seconds",)),
-        ("of which training", records.row("davis", "bear", "given"), ("seconds", "train")),
-        ("`flowsplat demo` (two runs on 40 frames of 320x180)", demo, ("seconds", "whole")),
-        ("the same the first time, kernels compiled on the way", first, ("seconds", "whole")),
+    whole, memory = tell_whole_run(run), run.value("peak_memory_gib")
+    time = "" if whole is None else f"{whole} s".replace(" (stages) s", " s (stages)")
+    rows = [("bear, 82 frames of 854x480, a whole run", time, "–" if memory is None else f"{text(memory, 1)} GiB", run)]
+    for name, row, key in (
+        ("of which training", records.row("davis", "bear", "given"), "train"),
+        ("`flowsplat demo` (two runs on 40 frames of 320x180)", demo, "whole"),
+        ("the same the first time, kernels compiled on the way", first, "whole"),
     ):
-        seconds, memory = row.value(*path), row.value("peak_memory_gib")
-        cell = ("failed" if row.failures() else NOT_MEASURED) if seconds is None else f"{text(seconds, 0)} s"
-        told = "–" if memory is None or seconds is None or "seconds" in path else f"{text(memory, 1)} GiB"
-        rows.append((name, cell, told, row.status() or "–"))
-    return format_table(("", "time", "memory", "measured at"), rows)
+        value = row.value("seconds", key)
+        rows.append((name, "" if value is None else f"{text(value, 0)} s", "–", row))
+    told = []
+    for name, seconds, gib, row in rows:
+        told.append((name, seconds or ("failed" if row.failures() else NOT_MEASURED), gib, row.status() or "–"))
+    return format_table(("", "time", "memory", "measured at"), told)

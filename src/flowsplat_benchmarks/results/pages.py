@@ -30,7 +30,18 @@ from flowsplat_benchmarks.results.cells import (
 from flowsplat_benchmarks.results.overview import format_overview
 from flowsplat_benchmarks.results.paper_page import list_paper_tables
 from flowsplat_benchmarks.results.records import Record
-from flowsplat_benchmarks.results.rows import MEASURED_AT, NOT_MEASURED, Records, Row, Shown, compare, make_table, name_of
+from flowsplat_benchmarks.results.rows import (
+    MEASURED_AT,
+    NOT_MEASURED,
+    STAGES,
+    Records,
+    Row,
+    Shown,
+    compare,
+    make_table,
+    name_of,
+    tell_whole_run,
+)
 from flowsplat_benchmarks.results.worlds_table import tabulate_worlds
 from flowsplat_benchmarks.tables import Table, format_table, text
 
@@ -302,16 +313,6 @@ def _times_as_long(base: Row, row: Row) -> str | None:
 
 # -- time and memory
 
-STAGES = ("cameras", "flow", "masks", "tracks", "depth", "train", "evaluate")
-
-
-def _whole(row: Row) -> str | None:
-    """Return the seconds of a run: as they were taken, or those of its stages together."""
-    if (whole := row.value("whole_seconds")) is not None:
-        return text(whole, 0)
-    values = [value for stage in STAGES if (value := row.value("seconds", stage)) is not None]
-    return f"{text(sum(values), 0)} (stages)" if values else None
-
 
 def _tabulate_costs(records: Records) -> list[Table]:
     seconds = [Shown(stage, (("seconds", stage),), 0) for stage in STAGES]
@@ -324,7 +325,7 @@ def _tabulate_costs(records: Records) -> list[Table]:
             for variant, size in (("given", "854x480"), (f"given-{CLIP_SIDE}", f"{CLIP_SIDE} pixels"))
             for name in CLIPS
         ],
-        (("whole", _whole), *seconds, Shown("peak memory, GiB", (("peak_memory_gib",),), 1)), "clip",
+        (("whole", tell_whole_run), *seconds, Shown("peak memory, GiB", (("peak_memory_gib",),), 1)), "clip",
     )  # fmt: skip
     growth = make_table(
         "How time grows", "The built-in clip, own priors, 60 steps of training.",

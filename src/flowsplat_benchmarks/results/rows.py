@@ -20,6 +20,8 @@ FIGURES_OF = {"refined": "ours", "training_frames": "ours", "ssim": "psnr", "mov
 """Figures of a result that stand beside others in a table, and are taken from no other commit than those."""
 PRIORS = "figures"
 """Where the figures of priors are, each of which may be of another commit."""
+STAGES = ("cameras", "flow", "masks", "tracks", "depth", "train", "evaluate")
+"""Of a run, of which the results pages tell the seconds."""
 Path = tuple[str, ...]
 """The keys of a figure in a result."""
 
@@ -121,6 +123,18 @@ def _where(record: Record) -> str:
     return f"{record.machine}{threads}"
 
 
+def tell_whole_run(row: Row) -> str | None:
+    """Return the seconds of a run, from the newest record that has some: as they were taken, or of its stages together, without
+    reading and videos; None where there are none."""
+    for record in reversed(row.records):
+        whole = figure(record, ("whole_seconds",))
+        stages = [value for stage in STAGES if (value := figure(record, ("seconds", stage))) is not None]
+        if whole is not None or stages:
+            row.note_commit(record.commit)
+            return text(whole, 0) if whole is not None else f"{text(sum(stages), 0)} (stages)"
+    return None
+
+
 def one_line(words: str) -> str:
     """Return words that a cell of a table can hold."""
     return " ".join(words.split()).replace("|", "\\|").replace("<", "&lt;")
@@ -207,7 +221,11 @@ def compare(
         assert base is not None
         found[record.scene, record.seed] = value - base
         commits[record.scene, record.seed] = record.commit
-    for commit in commits.values():
-        row.note_commit(commit)
+    # Scenes that were measured at other commits do not come into the mean.
+    order = [each.commit for each in records.all]
+    newest = max(commits.values(), key=lambda commit: len(order) - order[::-1].index(commit), default=None)
+    found = {run: value for run, value in found.items() if commits[run] == newest}
+    if newest is not None:
+        row.note_commit(newest)
     row.note_seeds(len({seed for _, seed in found}))
     return effect(found, dict.fromkeys(found, 0.0)), row

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -151,6 +152,11 @@ def test_differences_are_of_one_commit():
     effect, row = compare(Records([*found, run("no-q", 35.5, "bbbbbbb")]), "ablations", ["bear"], ("no-q", "full"), ("psnr",))
     assert effect is not None
     assert (effect.mean, row.status()) == (-0.5, "bbbbbbb")
+    elsewhere = [replace(each, scene="train") for each in found[:2]]
+    both = Records([*elsewhere, *found, run("no-q", 35.5, "bbbbbbb")])
+    effect, row = compare(both, "ablations", ["bear", "train"], ("no-q", "full"), ("psnr",))
+    assert effect is not None
+    assert (effect.mean, row.status()) == (-0.5, "bbbbbbb"), "no mean over two commits"
 
 
 def test_bad_records_are_a_line(data_root, tmp_path, capsys):
@@ -241,3 +247,51 @@ def test_a_field_is_trained_as_long_as_default(data_root, tmp_path, monkeypatch)
         found = jobs.measure_cell(Cell("fields", "clip", "t-nerf", 0, 1.0), data_root, tmp_path)
         assert (found["field"], found["budget"], found["default"]["seconds"]) == ("t-nerf", 9.0, {"train": 9.0})
     assert trained == ["fields"], "default is trained once"
+
+
+def complete(cell: Cell) -> Record:
+    """A record of a cell with every figure that a page shows."""
+    image = {"psnr": 33.333, "ssim": 0.9555, "lpips": 0.0999, "moving": {"psnr": 31.111, "median": 1.5, "last": 2.5, "mean": 0.77}}
+    whole = {**image, "covisible": image, "static": {"median": 0.01}, "mean": 0.55}
+    figures = dict.fromkeys(
+        ("ours", "refined", "training_frames", "times", "views", "flow_epe", "prior_flow_epe", "depth_abs_rel"), whole
+    )
+    seconds = dict.fromkeys(("cameras", "flow", "masks", "tracks", "depth", "train", "evaluate", "whole"), 123.4)
+    keys = ("flow.epe", "flow.epe_objects", "flow.kept", "flow.right", "cameras.path", "cameras.rotation", "cameras.focal")
+    more = ("depth.static", "depth.objects", "masks.iou", "tracks.life", "tracks.within", "time.total", "time.memory")
+    one = {"ln_distance": 0.1, "sigma": 0.2, "depth_trajectory": 0.1, "shape_offset": 0.1, "idf1": 0.5, "iou": 0.5}
+    result = {
+        "protocol": cell.benchmark, "scene": cell.scene, "size": [854, 480], "settings": "default", "seed": cell.seed,
+        "iterations": 1500,
+        "variant": "given masks" if cell.benchmark == "davis" else cell.variant, "cores": 2,
+        **figures, "baselines": dict.fromkeys(("flow_interpolation", "static", "warp_by_depth"), whole), "seconds": seconds,
+        "psnr": 33.333, "ssim": 0.9555, "lpips": 0.0999, "covisible": 33.333, "flow": whole, "tracks": whole,
+        "moving": 31.111, "gaps": dict.fromkeys(("1", "3", "5", "end"), whole), "parameters": {"bytes": 2.3e7},
+        "figures": dict.fromkeys((*keys, *more), 99.999), "own": {"objects": [one] * 4}, "true": {"objects": [one] * 4},
+        "gaussians": {"total": 212257, "active_mean": 89820}, "page_bytes": 1.01e7, "peak_memory_gib": 3.55, "peak": 1.8,
+    }  # fmt: skip
+    return Record(
+        cell.benchmark,
+        cell.scene,
+        cell.variant,
+        cell.seed,
+        "abcdef0",
+        "2 cores of AMD EPYC with AVX2, 24 GiB",
+        2,
+        9.0,
+        None,
+        result,
+    )
+
+
+def test_the_pages_of_a_whole_night_are_short():
+    pages = format_pages(Records([complete(cell) for cell in list_cells()]))
+    for name, page in pages.items():
+        assert len(page.encode()) < 8192, name
+        assert "abcdef0" in page, name
+        assert "seed" not in page or "failed" not in page, name
+    left = {name: page.count("not measured") for name, page in pages.items()}
+    assert left.pop("index") == 2, "data that are not at hand, and the demo with compiling, which no cell is"
+    assert left.pop("speed") == 1, "the same demo"
+    assert left.pop("ablations") == 1, "train, of which there are earlier records alone"
+    assert left == dict.fromkeys(left, 0)
