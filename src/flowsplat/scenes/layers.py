@@ -40,8 +40,10 @@ _MAX_IMAGE_BYTES = 512 * 2**20
 """Bytes of the file of an image. Chosen by eye."""
 _MAX_BYTES_PER_PIXEL = 32
 """Bytes of the arrays of a layer for every pixel. Chosen by eye."""
-_MAX_TRACKS_BYTES = 160 * 2**20
-"""Bytes. Chosen by eye."""
+MAX_TRACK_PLACES = 12_000_000
+"""Tracks times frames that a clip has at most: 120,000 tracks of 100 frames, 15,000 of 800. Chosen by eye."""
+_MAX_TRACKS_BYTES = 14 * MAX_TRACK_PLACES
+"""Bytes: a position in space and two bytes for each place."""
 _SILENCE = threading.Lock()
 
 

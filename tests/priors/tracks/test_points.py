@@ -8,6 +8,19 @@ from flowsplat.priors.tracks.points import COARSE_DAMPING, detail
 from .textures import shifted, texture
 
 
+def test_the_longest_tracks_are_kept_in_their_order():
+    table = TrackTable(columns=1)
+    table.count = 5
+    for frame, tracks in enumerate(([0, 1, 2], [1, 2, 3], [2, 3, 4], [1, 3])):
+        table.add(frame, np.array(tracks), np.array(tracks, np.float32)[:, None])
+    table.keep_longest(5)
+    assert table.values(4).shape == (5, 4, 1)
+    table.keep_longest(3)
+    values = table.values(4)[..., 0]
+    assert (np.nanmean(values, 1) == [1, 2, 3]).all()
+    assert (np.isfinite(values).sum(1) == [3, 3, 3]).all()
+
+
 def test_refinement_reaches_a_small_fraction_of_a_pixel():
     big = texture(160, 200)
     a, b = shifted(big, 0, 0, 150, 110), shifted(big, 1.37, -0.62, 150, 110)

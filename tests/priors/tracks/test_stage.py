@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from flowsplat.priors.flow import flow_stage
-from flowsplat.priors.tracks import follow_queries, tracks_stage
+from flowsplat.priors.tracks import follow_queries, stage, tracks_stage
 from flowsplat.scenes import Flow
 
 
@@ -62,3 +62,10 @@ def test_wrong_flow_between_two_frames_is_survived(scene):
     assert len(chosen) > 30
     traveled = tracks.points[chosen, 7] - tracks.points[chosen, 1]
     assert np.median(np.linalg.norm(traveled - 6 * np.array([1.5, 0.5]), axis=1)) < 0.3
+
+
+def test_a_scene_holds_no_more_tracks_than_it_can_read(scene, monkeypatch):
+    flow_stage(scene)
+    monkeypatch.setattr(stage, "MAX_TRACK_PLACES", 200 * scene.num_frames)
+    tracks_stage(scene)
+    assert len(scene.tracks.points) == 200

@@ -29,7 +29,7 @@ from flowsplat.priors.given import spatracker
 from flowsplat.priors.given.fitting import require_frames
 from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.formats.images import natural_key
-from flowsplat.scenes.layers import TRUSTED_CONFIDENCE
+from flowsplat.scenes.layers import MAX_TRACK_PLACES, TRUSTED_CONFIDENCE
 
 MAX_TRACKS = 20_000
 """Tracks that are kept of a file, evenly chosen. A round number."""
@@ -78,7 +78,7 @@ def read_tracks(path: Path, scene: Scene, size: tuple[int, int] | None) -> Given
         raise InputError(f"{path} holds no tracks.")
     if len({points.shape[1:] for points, _ in parts}) > 1:
         raise InputError(f"{path}: its files hold tracks of different length.")
-    step = -(-count // MAX_TRACKS)
+    step = -(-count // min(MAX_TRACKS, MAX_TRACK_PLACES // scene.num_frames))
     points = np.concatenate([points[::step] for points, _ in parts])
     confidence = np.concatenate([confidence[::step] for _, confidence in parts]).astype(np.float32)
     if points.ndim != 3 or points.shape[2] != 2 or confidence.shape != points.shape[:2]:

@@ -118,6 +118,20 @@ class TrackTable:
         """Note the ``values`` [N, columns] of ``tracks`` [N] in ``frame``: x, y and whatever else."""
         self._frames.append((frame, tracks, values))
 
+    def keep_longest(self, most: int) -> None:
+        """Forget all but the ``most`` tracks that were seen most often, and number the others anew, in their order."""
+        if self.count <= most:
+            return
+        seen = np.zeros(self.count, int)
+        for _, tracks, _ in self._frames:
+            seen[tracks] += 1
+        kept = np.sort(np.argsort(-seen, kind="stable")[:most])
+        number = np.full(self.count, -1)
+        number[kept] = np.arange(most)
+        here = [(frame, number[tracks], values) for frame, tracks, values in self._frames]
+        self._frames = [(frame, tracks[tracks >= 0], values[tracks >= 0]) for frame, tracks, values in here]
+        self.count = most
+
     def values(self, frames: int) -> np.ndarray:
         """Return all values [P, frames, columns] float32, NaN where a track was not seen."""
         result = np.full((self.count, frames, self._columns), np.nan, np.float32)

@@ -14,6 +14,7 @@ from flowsplat.priors.tracks.following import Follower
 from flowsplat.priors.tracks.points import TrackTable, corner_strength, detail, new_points, oldest_of_crowds
 from flowsplat.priors.tracks.resting import complete_resting
 from flowsplat.scenes import Scene, Tracks
+from flowsplat.scenes.layers import MAX_TRACK_PLACES
 
 BACKGROUND_POINTS = 700
 """About how many points are followed at a time in an image. Chosen by eye."""
@@ -29,7 +30,8 @@ Start = Callable[[int, np.ndarray, np.ndarray, Follower], None]
 def tracks_stage(scene: Scene) -> None:
     """Tracks over the training frames along their stored flow; denser on moving objects, where there are masks.
 
-    They have gaps where a point was hidden, and end at a cut of the clip and at frames that show nothing.
+    They have gaps where a point was hidden, and end at a cut of the clip and at frames that show nothing. Of a long clip in which
+    more were followed than a scene may hold, those that were seen longest are kept.
     """
     has_masks = scene.prior("masks") is not None
     seeds = _Seeds(scene, has_masks)
@@ -41,6 +43,7 @@ def tracks_stage(scene: Scene) -> None:
             inside = sample_map((labels > 0).astype(np.float32), points)
         table.add(t, follower.ids[seen], np.concatenate([points, follower.confidence[seen, None], inside], 1))
     table.count = seeds.count
+    table.keep_longest(MAX_TRACK_PLACES // scene.num_frames)
     values = table.values(scene.num_frames)
     visible = np.isfinite(values[..., 0])
     values = np.nan_to_num(values)
