@@ -16,9 +16,9 @@ FORBIDDEN = (0, 9, 10, 11, 12, 13, 26, 27, 32, 34, 38, 60, 62, 92, 127)
 def encode_text(data: bytes) -> str:
     """Return bytes as text; ``decode_text`` and the page know them again if they are told how many there are."""
     bits = np.unpackbits(np.frombuffer(data, np.uint8))
-    bits = np.append(bits, np.zeros(-len(bits) % 7, np.uint8)).reshape(-1, 7)
+    rows = np.append(bits, np.zeros(-len(bits) % 7, np.uint8)).reshape(-1, 7)
     groups = np.append(
-        (bits << np.arange(6, -1, -1, dtype=np.uint8)).sum(1, dtype=np.uint8), np.uint8(0)
+        (rows << np.arange(6, -1, -1, dtype=np.uint8)).sum(1, dtype=np.uint8), np.uint8(0)
     )  # one that may be taken along
     places = np.full(128, -1)
     places[list(FORBIDDEN)] = np.arange(len(FORBIDDEN))
