@@ -28,6 +28,7 @@ from flowsplat.evaluation.scores import pick
 from flowsplat.images.html import shrink_to_page
 from flowsplat.output.verdict import grade_path, verdict
 from flowsplat.output.videos import list_rendered
+from flowsplat.output.videos.shown import choose_video
 from flowsplat.pipeline import run
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.folder import RunFolder, stage_key
@@ -148,13 +149,11 @@ def fewer_gaussians(config: RunConfig) -> RunConfig:
 
 
 def _video(folder: Path) -> Path | None:
-    """Return what the page plays: the first video in color alone, that along the clip's path before others."""
+    """Return what the page plays."""
     renders = RunPaths(folder).renders_path
-    files = sorted(
-        list_rendered(renders).items(), key=lambda each: (not each[0].startswith("input"), not each[0].endswith("_color"))
-    )
-    found = (renders / file for _, file in files)
-    return next((path for path in found if path.suffix == ".mp4" and path.exists()), None)
+    files = {name: file for name, file in list_rendered(renders).items() if (renders / file).exists()}
+    video = choose_video(files)
+    return None if video is None else renders / files[video.shown]
 
 
 def _write_thumb(name: str, folder: Path, out: Path) -> str:

@@ -139,7 +139,9 @@ class PageScene:
         if header["gains"]:
             gains[:resting] = np.exp(arrays["gains"] @ np.cos(np.pi * t * np.arange(1, header["gains"] + 1)))
         sh = np.concatenate([arrays["colors"], *([arrays["harmonics"]] if header["shDegree"] else [])], 1)
-        return GaussiansAtTime(means, quats, np.exp(arrays["logScales"]), opacities, sh.reshape(len(sh), -1, 3), gains)
+        return GaussiansAtTime(
+            means, quats, np.exp(arrays["logScales"]), opacities, sh.reshape(len(sh), sh.shape[1] // 3, 3), gains
+        )
 
 
 def read_page(path: str | Path) -> PageScene:

@@ -22,6 +22,7 @@ from flowsplat.images.html import data_uri, figure, image_tag, shrink_to_page, t
 from flowsplat.output.page import card, image_row, write_page
 from flowsplat.output.verdict import list_large_objects, verdict, word_figures, word_sureness
 from flowsplat.output.videos.paths import PATHS
+from flowsplat.output.videos.shown import order_videos
 
 POSTER_QUALITY = 80
 """Of the JPEGs that stand in the place of videos until they play. Chosen by eye."""
@@ -266,16 +267,14 @@ def _flows(flows: Sequence[FlowComparison]) -> list[dict[str, Any]]:
 def _videos(videos: Mapping[str, str], posters: Mapping[str, np.ndarray]) -> Iterator[dict[str, Any]]:
     """Yield every video, that along the clip's own path first: in color where there is that, with a link to the one that has flow
     and depth beside it."""
-    own = {entry.value.file for entry in PATHS.entries() if entry.value.is_input}
-    for name in sorted((name for name in videos if not name.endswith("_color")), key=lambda name: name not in own):
-        shown = f"{name}_color" if f"{name}_color" in videos else name
+    for name, shown, beside in order_videos(videos):
         poster = posters.get(shown)
         yield {
             "title": video_title(name),
             "file": link_video(videos[shown]),
             "image": videos[shown].endswith(".gif"),
             "poster": None if poster is None else data_uri(shrink_to_page(poster), POSTER_QUALITY),
-            "panels": None if shown == name else link_video(videos[name]),
+            "panels": None if beside is None else link_video(videos[beside]),
         }
 
 

@@ -17,6 +17,7 @@ from flowsplat.images.html import data_uri, figure, shrink_to_page, table
 from flowsplat.output.page import write_page
 from flowsplat.output.report import POSTER_QUALITY, link_video, video_title
 from flowsplat.output.verdict import verdict
+from flowsplat.output.videos.shown import choose_video
 
 
 @dataclass(frozen=True)
@@ -76,22 +77,12 @@ def _row(shot: ShotOnPage) -> Sequence[Any]:
 
 
 def _section(shot: ShotOnPage) -> dict[str, Any]:
-    name = choose_video(shot.videos)
+    video = choose_video(shot.videos)
     return {
         "title": shot.title,
         "verdict": None if shot.metrics is None else verdict(shot.metrics),
         "report": f"{quote(shot.folder)}/{RunPaths(Path()).report_path.name}",
-        "video": None if name is None else f"{quote(shot.folder)}/{link_video(shot.videos[name])}",
+        "video": None if video is None else f"{quote(shot.folder)}/{link_video(shot.videos[video.shown])}",
         "poster": None if shot.poster is None else data_uri(shrink_to_page(shot.poster), POSTER_QUALITY),
-        "caption": "" if name is None else video_title(name.removesuffix("_color")),
+        "caption": "" if video is None else video_title(video.name),
     }
-
-
-def choose_video(videos: Mapping[str, str]) -> str | None:
-    """Return the name of the video that the page shows: the first, in color alone where there is that; None where there is none.
-
-    Args:
-        videos: file names by name.
-    """
-    names = [name for name, file in videos.items() if file.endswith(".mp4")]
-    return next((name for name in names if name.endswith("_color")), next(iter(names), None))

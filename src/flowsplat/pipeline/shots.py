@@ -25,8 +25,9 @@ from flowsplat.common.run_paths import RunPaths
 from flowsplat.output.export.formats import EXPORTERS
 from flowsplat.output.export.options import ExportOptions
 from flowsplat.output.export.shots import export_sequence
-from flowsplat.output.shots_report import ShotOnPage, choose_video, write_shots_report
+from flowsplat.output.shots_report import ShotOnPage, write_shots_report
 from flowsplat.output.videos import list_rendered, read_posters
+from flowsplat.output.videos.shown import choose_video
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import stage_key
 from flowsplat.pipeline.shot_list import VERSION, Place, Shot, ShotList, ShotsFile, read_shots, write_places
@@ -140,8 +141,8 @@ def _write_report(out: Path, source: Path, listed: ShotList) -> None:
         paths = RunPaths(shot.path)
         measured = read_metrics(paths.metrics_path) if paths.metrics_path.exists() else None
         videos = list_rendered(paths.renders_path)
-        shown = choose_video(videos)
-        posters = {} if shown is None else read_posters(paths.renders_path, {shown: videos[shown]})
+        video = choose_video(videos)
+        posters = {} if video is None else read_posters(paths.renders_path, {video.shown: videos[video.shown]})
         folder = shot.path.relative_to(out).as_posix()
         pages.append(ShotOnPage(folder, str(shot), measured, videos, next(iter(posters.values()), None)))
     write_shots_report(RunPaths(out).report_path, source.stem if source.is_file() else source.name, pages, listed.remarks)

@@ -22,6 +22,7 @@ from flowsplat.gaussians.renderer import Renderer
 from flowsplat.output.report import Comparison, FlowComparison, ReportData, Step
 from flowsplat.output.verdict import grade_sharpness, list_guesses
 from flowsplat.output.videos import list_rendered, read_posters
+from flowsplat.output.videos.shown import order_videos
 from flowsplat.pipeline.config import RunConfig, list_options, preset
 from flowsplat.pipeline.left_out import word_left_out_after
 from flowsplat.priors.objects.description import word_guess, word_hint
@@ -156,7 +157,7 @@ def report_data(
     left_out = word_left_out_after(scene, config, metrics)
     notes += [left_out] if left_out else []
     videos = list_rendered(RunPaths(out).renders_path)
-    shown = {name: file for name, file in videos.items() if f"{name}_color" not in videos}
+    shown = {video.shown: videos[video.shown] for video in order_videos(videos)}
     verdicts = {name: str((scene.prior(name) or {}).get("verdict", "")) for name in ("cameras", "depth", "masks")}
     return ReportData(
         title=scene.name,

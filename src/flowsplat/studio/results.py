@@ -15,6 +15,7 @@ from flowsplat.common.files import atomic_path, make_folder, read_json
 from flowsplat.output.export.formats import EXPORTERS
 from flowsplat.output.report import video_title
 from flowsplat.output.videos import list_rendered
+from flowsplat.output.videos.shown import order_videos
 from flowsplat.pipeline.folder import MetricsFile
 from flowsplat.scenes import Scene
 from flowsplat.studio.project import Project
@@ -92,17 +93,18 @@ def _describe_results(project: Project) -> dict[str, Any]:
 
 
 def _list_videos(project: Project) -> Iterator[dict[str, str | None]]:
-    """Yield the videos with color alone before those with flow and depth beside it."""
+    """Yield the videos as the report shows them, then those with flow and depth beside it."""
     try:
         files = list_rendered(project.run.renders_path)
     except InputError:
         return
-    for name in sorted(files, key=lambda each: not each.endswith("_color")):
-        title = video_title(name.removesuffix("_color"))
-        beside = "" if name.endswith("_color") or f"{name}_color" not in files else ", with flow and depth"
+    videos = order_videos(files)
+    titles = {video.shown: video_title(video.name) for video in videos}
+    titles |= {video.beside: f"{video_title(video.name)}, with flow and depth" for video in videos if video.beside is not None}
+    for name, title in titles.items():
         link = _link(project, project.run.renders_path / files[name])
         if link is not None:
-            yield {"title": f"{title}{beside}", "link": link, "file": files[name]}
+            yield {"title": title, "link": link, "file": files[name]}
 
 
 def _list_renderings(project: Project) -> Iterator[dict[str, str]]:

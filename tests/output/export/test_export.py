@@ -12,6 +12,7 @@ import torch
 from plyfile import PlyData
 from safetensors.torch import load_file
 
+import flowsplat
 from flowsplat.cli import main
 from flowsplat.common.errors import InputError
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
@@ -25,6 +26,7 @@ from flowsplat.output.export.formats import EXPORTERS
 from flowsplat.output.export.formats.splat import RECORD
 from flowsplat.output.export.formats.spz import write_spz
 from flowsplat.output.export.importance import choose_most_important
+from flowsplat.output.export.shots import export_sequence
 from flowsplat.output.export.still import rotate_harmonics, still_at
 from flowsplat.priors.given.colmap import read_colmap
 from flowsplat.scenes import Scene
@@ -374,6 +376,23 @@ def test_what_the_page_holds_and_how_to_embed_it_is_told(capsys, run):
     text = Path(written.removeprefix("Written: ")).read_text(encoding="utf-8")
     assert not any(element in text for element in ("<audio", "<video"))
     assert str(run) not in text
+
+
+def test_what_a_page_of_shots_holds_is_told_once(capsys, tmp_path, run):
+    model, scene = small_model(), Scene(run / "scene")
+    shots = [("1", model, scene), ("2", model, scene)]
+    export_sequence(shots, tmp_path / "all.html", "clip", ExportOptions(embed=True))
+    told = capsys.readouterr().err
+    assert told.count("no frame, no sound") == 1
+    assert told.count("<iframe ") == 1
+
+
+def test_python_tells_how_to_embed_a_page(capsys, run):
+    (run / "run.json").write_text("{}")
+    flowsplat.export(run, "html", embed=True)
+    assert '<iframe src="player.html#embed"' in capsys.readouterr().err
+    with pytest.raises(InputError, match="--embed is for html"):
+        flowsplat.export(run, "ply", embed=True)
 
 
 @pytest.mark.parametrize(

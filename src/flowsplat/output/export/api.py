@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder
@@ -33,6 +32,8 @@ def export_scene(
     path: str | Path | None,
     options: ExportOptions,
     one_color: Callable[[], SceneModel] | None = None,
+    *,
+    is_part: bool = False,
 ) -> Path:
     """Write a trained scene in a format of others, or as the single-file player.
 
@@ -44,6 +45,7 @@ def export_scene(
         options: what and how.
         one_color: gives the scene as it was fitted without slopes of brightness, for formats that hold none; None, or where it
             raises an ``InputError``: they are left out.
+        is_part: of another file: what that one holds, and how it is embedded, is for its writer to tell.
 
     Returns:
         what was written: a file or a folder.
@@ -71,6 +73,8 @@ def export_scene(
     write(path, model, scene, options)
     if not path.exists():
         raise InputError(f"Nothing was written: format {to} made no {path}.")
+    if is_part:
+        return path
     if exporter.note is not None:
         report(exporter.note)
     if options.embed and exporter.embed is not None:
@@ -90,9 +94,10 @@ def _fit_size(model: SceneModel, scene: Scene, write: Write, name: str, options:
         count, size = len(model.gaussians), measure(model)
         if size <= most:
             return model
-        half = model.gaussians.select(torch.arange(0, count, 2))
-        each = max(size - measure(replace(model, gaussians=half)), 1) / max(count - len(half), 1)
-        rest = size - each * count  # what the file holds beside Gaussians
+        # What the file holds beside Gaussians. The fewer there are, the more each takes: their number comes from above.
+        single = model.gaussians.select(model.gaussians.params["logit_opacities"].argmax()[None])
+        rest = measure(replace(model, gaussians=single))
+        each = max(size - rest, 1) / count
         while size > most:
             count = min(int(SIZE_MARGIN * (most - rest) / each), count - 1)
             if count < 1:

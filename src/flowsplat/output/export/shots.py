@@ -12,6 +12,7 @@ from flowsplat.common.files import make_folder
 from flowsplat.common.progress import report
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.output.export.api import export_scene
+from flowsplat.output.export.formats import EXPORTERS
 from flowsplat.output.export.options import ExportOptions
 from flowsplat.output.player.page import make_iframe
 from flowsplat.output.player.sequence import write_sequence
@@ -39,9 +40,11 @@ def export_sequence(
     with tempfile.TemporaryDirectory() as folder:
         pages = []
         for k, (_, model, scene) in enumerate(shots):
-            page = export_scene(model, scene, "html", Path(folder) / f"{k}.html", replace(options, size_mb=share, embed=False))
+            page = export_scene(model, scene, "html", Path(folder) / f"{k}.html", replace(options, size_mb=share), is_part=True)
             pages.append(page.read_text(encoding="utf-8"))
     write_sequence(path, pages, [name for name, _, _ in shots], title)
+    if (note := EXPORTERS["html"].note) is not None:
+        report(note)
     if options.embed:
         report(make_iframe(path, title, shots[0][2].width, shots[0][2].height))
     return path

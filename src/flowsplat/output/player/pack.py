@@ -185,7 +185,7 @@ def _arrays(
         rounding.quantize("colors", sh[:, 0]),
     ]
     if gaussians.sh_degree:
-        arrays.append(rounding.quantize("harmonics", sh[:, 1:].reshape(len(sh), -1)))
+        arrays.append(rounding.quantize("harmonics", sh[:, 1:].reshape(len(sh), 3 * (sh.shape[1] - 1))))
     if gaussians.has_slopes:
         arrays.append(rounding.quantize("slopes", params["slopes"].numpy()))
     if gaussians.config.gains:
