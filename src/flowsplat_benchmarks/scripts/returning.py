@@ -46,16 +46,17 @@ from flowsplat_benchmarks.worlds import draw_world
 WIDTH, HEIGHT, FRAMES, FPS = 192, 108, 16, 10.0
 MAX_SLOWING = 3.0
 """Episodes last up to so many times as long as the world: objects of longer ones hardly find a place in it. Chosen by eye."""
-COUNTS: dict[WorldKind, int] = {"crowd": 40, "any": 12, "dancers": 8}
+COUNTS: dict[WorldKind, int] = {"crowd": 14, "any": 3, "dancers": 2}
 """Seeds of every kind in each group."""
 GROUPS = {"fitted": 0, "gate": 100, "measured": 1000}
 """First seed of each group."""
-ATTEMPTS = 16
+PLACING_ATTEMPTS = 16
 """To place the objects of a world: what is hard to place is left out, for the time. Chosen by eye."""
 EPISODES = 36
 """How often every world is seen. Chosen by eye."""
-LOGISTIC_RIDGE = 0.1
-"""Of the logistic regression: the weight of the mean squared weight. Chosen by eye."""
+LOGISTIC_RIDGE = 1.0
+"""Of the logistic regression: the weight of the mean squared weight. On worlds of the first two groups, left out in turn, the log
+loss is .18 with .3 and with 1, .21 with 3 and .24 with 10."""
 GATES = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99)
 MAX_WRONG_JOINS = 0.02
 """Share of the joins, on worlds that were not fitted."""
@@ -116,7 +117,7 @@ def render(kind: WorldKind, seed: int, folder: Path) -> Rendered:
     """
     path = folder / f"{kind}-{seed}.npz"
     if not path.exists():
-        world = draw_world(seed, WIDTH, HEIGHT, FRAMES, FPS, kind == "dancers", kind == "crowd", ATTEMPTS)
+        world = draw_world(seed, WIDTH, HEIGHT, FRAMES, FPS, kind == "dancers", kind == "crowd", PLACING_ATTEMPTS)
         cameras = [world.camera(i) for i in range(FRAMES)]
         arrays = {
             "images": np.stack([world.image(i) for i in range(FRAMES)]),
@@ -304,13 +305,16 @@ def score(worlds: Iterable[Sequence[Known]], cost: Cost, gate: float) -> Score:
 
 
 def choose_gate(worlds: Sequence[Sequence[Known]], cost: Cost) -> float:
-    """Return the lowest of ``GATES`` with few wrong joins; the highest if none has few enough."""
-    for gate in GATES:
+    """Return the lowest of ``GATES`` from which on few joins are wrong, a standard error added; else the highest."""
+    chosen = GATES[-1]
+    for gate in GATES[::-1]:
         found = score(worlds, cost, gate)
         report(f"gate {gate}: {found}")
-        if found.wrong <= MAX_WRONG_JOINS * found.joins:
-            return gate
-    return GATES[-1]
+        share = found.wrong / max(found.joins, 1)
+        if share + np.sqrt(share * (1 - share) / max(found.joins, 1)) > MAX_WRONG_JOINS:
+            break
+        chosen = gate
+    return chosen
 
 
 def tabulate_bands(worlds: Iterable[Sequence[Known]], cost: Cost) -> list[str]:
