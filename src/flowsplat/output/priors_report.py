@@ -29,6 +29,7 @@ from flowsplat.priors.graph import PRIORS
 from flowsplat.priors.objects import SceneObjects, load_objects
 from flowsplat.priors.objects.areas import describe_count, large_objects
 from flowsplat.priors.objects.description import ObjectDescription, describe_objects, sureness
+from flowsplat.priors.objects.returns import describe_returns
 from flowsplat.scenes import Scene, Tracks
 
 PANEL_SIDE = 400
@@ -153,7 +154,7 @@ def _mask_words(scene: Scene) -> str:
     guessed = count - objects.get("tied", count) if count else 0
     if guessed and (scene.prior("depth") or {}).get("method") != "guess":
         words += ", how far away is a guess" if guessed == count else f", how far away {guessed} of them are is a guess"
-    return words
+    return "; ".join(filter(None, (words, describe_returns(masks))))
 
 
 def _source(prior: Mapping[str, Any]) -> str:

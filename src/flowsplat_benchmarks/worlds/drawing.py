@@ -50,8 +50,9 @@ _CHECK_WIDTH, _CHECK_FRAMES = 80, 10
 
 
 def draw_world(
-    seed: int, width: int = 320, height: int = 180, frames: int = 40, fps: float = 24.0, dancers: bool = False, crowd: bool = False
-) -> World:
+    seed: int, width: int = 320, height: int = 180, frames: int = 40, fps: float = 24.0, dancers: bool = False, crowd: bool = False,
+    attempts: int = MAX_ATTEMPTS,
+) -> World:  # fmt: skip
     """Return the world of a seed, the same bits for the same arguments.
 
     Its geometry does not depend on the number of pixels, as long as their ratio stays.
@@ -60,6 +61,7 @@ def draw_world(
         dancers: people who swing their limbs as fast as people do, and nothing else that moves.
         crowd: three to five people, vehicles and animals that pass one another at several depths, in plain clothes and with
             contact shadows, and nothing else that moves.
+        attempts: how often everything is placed anew at most.
 
     Raises:
         InputError: the arguments make no clip, ask for dancers and a crowd, or nothing could be placed in sight.
@@ -72,13 +74,11 @@ def draw_world(
             "made: use a seed of 0 or more, 10 frames or more of 32x32 pixels or more, and a finite rate above 0."
         )
     plan = draw_plan(seed, dancers, crowd)
-    for attempt in range(MAX_ATTEMPTS):
+    for attempt in range(attempts):
         world = _place(np.random.default_rng([seed, 2, attempt]), seed, plan, (width, height), frames, fps)
         if world is not None and _is_in_sight(world, plan):
             return world
-    raise InputError(
-        f"The random world of seed {seed} has no place for its objects in {MAX_ATTEMPTS} attempts: choose another one."
-    )
+    raise InputError(f"The random world of seed {seed} has no place for its objects in {attempts} attempts: choose another one.")
 
 
 def _place(rng: np.random.Generator, seed: int, plan: WorldPlan, size: tuple[int, int], frames: int, fps: float) -> World | None:

@@ -17,9 +17,10 @@ from flowsplat.priors.objects.areas import large_objects
 from flowsplat.priors.objects.billboards import make_billboards
 from flowsplat.priors.objects.contact import Bound, compute_ground_bound, middle_of
 from flowsplat.priors.objects.hints import Hint, with_hints
-from flowsplat.priors.objects.identity import identify_objects
+from flowsplat.priors.objects.identity import has_own_numbers, identify_objects
 from flowsplat.priors.objects.monocular_cue import MonocularDistances
 from flowsplat.priors.objects.rematching import ObjectImages, gray
+from flowsplat.priors.objects.returns import describe_returns, find_returns, join_returns
 from flowsplat.priors.objects.shape_offset import roundness
 from flowsplat.priors.objects.solving import solve_object, tracks_of_objects
 from flowsplat.priors.objects.storage import SceneObjects, save_objects
@@ -37,7 +38,7 @@ def objects_stage(
 ) -> None:  # fmt: skip
     """Depth trajectory, shape offset and distance of every numbered object. Needs cameras, flow, masks and tracks.
 
-    The numbers of masks of our own are rewritten first, by common motion.
+    The numbers of masks of our own are rewritten first, by common motion; and at the end those of objects that left and came back.
 
     Args:
         estimate: finds the flow between frames that are no neighbors.
@@ -48,12 +49,15 @@ def objects_stage(
     Raises:
         InputError: a hint does not fit the clip.
     """
+    own_numbers = has_own_numbers(scene)
     identify_objects(scene)
     clip = static[0] if static else MatchedClip(scene, estimate)
     background = static[1] if static else static_depth(clip, has_masks=True)
     source = monocular() if monocular is not None else None
     maps = MonocularMaps(clip, source) if source is not None and isinstance(background, Background) else None
     found = find_objects(clip, background, hints, maps)
+    if own_numbers:
+        found = join_returns(scene, found, find_returns(scene))
     save_objects(scene, found)
     large = large_objects(scene)
     objects = [obj for obj in found.objects if obj.number in large]
@@ -62,6 +66,8 @@ def objects_stage(
     verdict = f"{count} object{'s' if count != 1 else ''}, {rigid} of them rigid, {tied} tied to the still scene"
     if small:
         verdict += f"; {small} small part{'s' * (small > 1)}"
+    if told := describe_returns(scene.prior("masks") or {}):
+        verdict += f"; {told}"
     if maps is not None:
         maps.remove()
         helped = sum("monocular" in obj.cues for obj in objects)

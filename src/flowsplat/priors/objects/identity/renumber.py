@@ -22,6 +22,13 @@ COLOR_EVERY, COLOR_BLUR = 3, 2.0
 """Every how many frames the colors of tracks are looked up, and the blur of the images, in pixels."""
 
 
+def has_own_numbers(scene: Scene) -> bool:
+    """Return whether something is masked whose numbers are ours to change: masks of our own, and given ones of one number."""
+    numbers = _list_numbers(scene)
+    method = (scene.prior("masks") or {}).get("method")
+    return len(numbers) > 0 and method != "truth" and (method in OWN or len(numbers) == 1)
+
+
 def identify_objects(scene: Scene) -> int:
     """Rewrite the object numbers of the stored masks by common motion; what is masked stays the same.
 
@@ -31,11 +38,8 @@ def identify_objects(scene: Scene) -> int:
         How many objects there are.
     """
     frames = scene.train_frames
-    numbers = np.unique(np.concatenate([np.unique(scene.mask(i)) for i in frames]))
-    numbers = numbers[numbers > 0]
-    method = (scene.prior("masks") or {}).get("method")
-    if len(numbers) == 0 or method == "truth" or (method not in OWN and len(numbers) > 1):
-        return len(numbers)
+    if not has_own_numbers(scene):
+        return len(_list_numbers(scene))
     tracks, pieces = scene.tracks, Continuity(scene).pieces
     highest = 0
     for piece in np.unique(pieces):
@@ -62,6 +66,12 @@ def identify_objects(scene: Scene) -> int:
             counted["verdict"] = f"{describe_count(count, highest - count)} on {how['share']:.1%} of the image"
         scene.amend_prior("masks", **counted)
     return highest
+
+
+def _list_numbers(scene: Scene) -> np.ndarray:
+    """Return the numbers in the masks of the training frames, but for 0."""
+    numbers = np.unique(np.concatenate([np.unique(scene.mask(i)) for i in scene.train_frames]))
+    return numbers[numbers > 0]
 
 
 def track_colors(scene: Scene, frames: Sequence[int], clip: MaskedTracks) -> np.ndarray:
