@@ -38,7 +38,7 @@ MODULE = "flowsplat_benchmarks.scripts.growth"
 """This one, which its processes run."""
 TRAINING_STEPS = 60
 """Training steps of every run."""
-FRAMES = (100, 200, 400, 800)
+FRAMES = (40, 80, 160, 400, 800)
 """Numbers of frames that are compared. The camera is back where it began after every 135 of them."""
 LONG_SIDE = 320
 """Pixels of the long side where frames are counted; the long clip at 480p is enlarged from that."""

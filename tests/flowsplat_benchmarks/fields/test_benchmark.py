@@ -50,7 +50,7 @@ def on_tiny_scene(tiny_scene, monkeypatch, in_this_process) -> list[str]:
             shutil.copytree(tiny_scene, folder)
         return folder
 
-    def measure(run, path):
+    def measure(run, path, *_):
         done.append(run.scene.name)
         return make_result(run.variant.name, 30.0, 0.1, scene=run.scene.case.scene)
 

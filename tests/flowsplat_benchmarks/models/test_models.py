@@ -162,7 +162,7 @@ def test_names_are_known():
 def test_it_continues(runs_root, tmp_path, monkeypatch, in_this_process, capsys):
     done = []
 
-    def measure(run, _):
+    def measure(run, *_):
         done.append((run.scene.name, run.variant.name, run.config.model.kind, run.config.seed))
         assert run.config.density.max_gaussians == benchmark.MAX_GAUSSIANS
         assert run.measure_more is measure_motion
@@ -187,7 +187,7 @@ def test_it_continues(runs_root, tmp_path, monkeypatch, in_this_process, capsys)
 def test_a_run_can_be_a_command_of_its_own(runs_root, tmp_path, monkeypatch, in_this_process, capsys):
     done = []
 
-    def measure(run, _):
+    def measure(run, *_):
         done.append((run.variant.name, run.scene.case.config.device))
         return result(run.variant.name, 30.0, run.scene.case.scene, run.config.seed, iterations=run.config.iterations)
 
