@@ -61,8 +61,8 @@ _SURFACE_TOLERANCE = 0.05
 """Share of its distance by which a point may lie behind the surface that a frame sees. Chosen by eye."""
 _MIN_ALPHA = 0.5
 """Alpha from which something is there. Chosen by eye."""
-_ROWS_AT_A_TIME = 8192
-"""Gaussians whose gains are fitted at a time, for the memory. Chosen by eye."""
+_ROWS_AT_A_TIME, _NUMBERS_AT_A_TIME = 8192, 2**24
+"""Gaussians whose gains are fitted at a time at most, for the memory; and that of their gains at all times. Chosen by eye."""
 
 
 def add_shadow_free(
@@ -178,10 +178,9 @@ def _fit(target: np.ndarray, weight: np.ndarray, cosines: torch.Tensor) -> torch
     T, G = cosines.shape
     A = torch.cat([torch.ones(T, 1, dtype=torch.float64), cosines], 1)
     held = GAIN_STIFFNESS * T * torch.diag(torch.cat([torch.zeros(1), torch.arange(1.0, G + 1)]).double())
-    parts = []
-    for start in range(0, len(target), _ROWS_AT_A_TIME):
-        w = torch.from_numpy(weight[start : start + _ROWS_AT_A_TIME])
-        b = torch.from_numpy(target[start : start + _ROWS_AT_A_TIME])
+    parts, rows = [], max(min(_ROWS_AT_A_TIME, _NUMBERS_AT_A_TIME // A.numel()), 1)
+    for start in range(0, len(target), rows):
+        w, b = torch.from_numpy(weight[start : start + rows]), torch.from_numpy(target[start : start + rows])
         normal = torch.einsum("tp,nt,tq->npq", A, w, A) + held + 1e-9 * torch.eye(G + 1, dtype=torch.float64)
         parts.append(torch.linalg.solve(normal, torch.einsum("tp,nt->np", A, w * b)))
     return torch.cat(parts)
