@@ -302,7 +302,12 @@ def _camera_files(folder: Path) -> None:
 def _shots(folder: Path) -> None:
     folder.mkdir()
     shots = [{"start": 0.0, "end": 1.5}, {"start": 1.54, "end": 3.0}]
-    record = {"version": 1, "input": "clip.mp4", "fingerprint": "0" * 16, "shots": shots, "notes": ["Left out: 1 frame."]}
+    similarity = {"scale": 1.5, "rotation": np.eye(3).tolist(), "translation": [0.1, 0.2, 0.3]}
+    place = {"shots": [1, 2], "similarity": similarity, "matches": 120, "pixels": 0.75, "split_pixels": 1.25}
+    record = {
+        "version": 1, "input": "clip.mp4", "fingerprint": "0" * 16, "shots": shots, "notes": ["Left out: 1 frame."],
+        "places": [place],
+    }  # fmt: skip
     (folder / "shots.json").write_text(json.dumps(record))
 
 
@@ -464,6 +469,7 @@ def _read_shots(folder: Path) -> None:
     found = read_shots(folder)
     if found is None:  # what leads nowhere is not there, and the folder is one of a run
         return
+    assert all(str(place) for place in found.places or ())
     for shot in found.shots:
         assert str(shot)
         assert folder in shot.path.parents
