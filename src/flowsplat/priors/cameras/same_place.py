@@ -123,7 +123,9 @@ def find_same_place(first: Scene, second: Scene) -> SamePlace | None:
         [_look(scene, scene.train_frames[k]) for k in spread(len(scene.train_frames), COMPARED_FRAMES)] for scene in (first, second)
     ]
     pairs = [(a, b) for a in seen[0] for b in seen[1]]
-    halves = _match(pairs[::2]), _match(pairs[1::2])  # of different frames of the second clip
+    # Halves are of different frames of the second clip. Most clips are of two places: the first half tells it.
+    half = _match(pairs[::2])
+    halves = half, None if half is None else _match(pairs[1::2])
     limit = MAX_PIXEL_SHARE * max(first.width, first.height, second.width, second.height)
     if halves[0] is None or halves[1] is None:
         return None
