@@ -72,6 +72,30 @@ def align_paths(estimated: Sequence[Camera], true: Sequence[Camera]) -> Similari
     return Similarity(scale, rotation, t.mean(0) - scale * e.mean(0))
 
 
+def align_points(points: np.ndarray, others: np.ndarray, weights: np.ndarray | None = None) -> Similarity | None:
+    """Return the similarity that brings points [N, 3] onto others by least squares (Umeyama, PAMI 1991).
+
+    Args:
+        points: N of 3 or more.
+        others: [N, 3] where each of them is to come.
+        weights: [N]; None = all alike.
+
+    Returns:
+        None where they have no extent, or the scale is none that coordinates can have.
+    """
+    w = np.ones(len(points)) if weights is None else weights
+    w = w[:, None] / w.sum()
+    a, b = (w * points).sum(0), (w * others).sum(0)
+    U, S, Vt = np.linalg.svd((w * (others - b)).T @ (points - a))
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+    extent = float((w * (points - a) ** 2).sum())
+    scale = float((S * signs).sum()) / max(extent, 1e-300)
+    if extent < 1e-18 or not 1 / MAX_COORDINATE < scale < MAX_COORDINATE:
+        return None
+    rotation = U @ np.diag(signs) @ Vt
+    return Similarity(scale, rotation, b - scale * rotation @ a)
+
+
 def path_errors(estimated: Sequence[Camera], true: Sequence[Camera]) -> dict[str, float]:
     """Return how far an estimated path is from the true one after ``align_paths``.
 

@@ -6,7 +6,7 @@
 Every world is seen in ``EPISODES`` ways: through a window that goes to and fro, so that objects leave it and come back, past a
 pillar, with objects that are in no mask for a while, and with some of another world of its group. Outlines are off, some parts of
 masks are nothing, light changes. Where an object was absent it gets another number, and all pairs of numbers, of which one ends
-before the other begins, are judged. The weights are fitted to worlds of the first seeds, every one with the same weight; the gate
+before the other begins, are scored. The weights are fitted to worlds of the first seeds, every one with the same weight; the gate
 is the lowest with which, on those of the second ones, hardly any join is wrong; and what they are worth is measured on those of
 the third. ``OUT/returning.md`` is the table.
 """
@@ -27,14 +27,14 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_npz, write_json, write_npz, write_text
 from flowsplat.common.progress import report, track
 from flowsplat.geometry import Camera
-from flowsplat.priors.objects.identity.appearance import Clip
+from flowsplat.priors.objects.identity.appearance import MaskedFrames
 from flowsplat.priors.objects.identity.cost import Cost
 from flowsplat.priors.objects.identity.returning import (
     FEATURES,
     MIN_ABSENCE,
     WEIGHTS,
-    Judge,
     Pair,
+    ReturnClassifier,
     compute_features,
     join_pairs,
     list_pairs,
@@ -60,18 +60,18 @@ loss is .18 with .3 and with 1, .21 with 3 and .24 with 10."""
 GATES = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99)
 MAX_WRONG_JOINS = 0.02
 """Share of the joins, on worlds that were not fitted."""
-MAYBE_CHANCE = 0.5
+MAYBE_PROBABILITY = 0.5
 """Probability from which it is said that two may be one."""
 BANDS = (0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97, 1.0)
 """Of probabilities, within which they are compared with the share that is one object."""
 
-_GUEST_CHANCE, _GUESTS = 0.25, 100
-_WINDOW, _PILLAR_CHANCE, _PILLAR_WIDTH = (0.5, 1.0), 0.4, (0.08, 0.3)
-_LOST_CHANCE, _LOST_SHARE = 0.4, (0.1, 0.6)
-_BLOB_CHANCE, _BLOB_RADIUS = 0.4, (0.03, 0.1)
+_GUEST_PROBABILITY, _GUESTS = 0.25, 100
+_WINDOW, _PILLAR_PROBABILITY, _PILLAR_WIDTH = (0.5, 1.0), 0.4, (0.08, 0.3)
+_LOST_PROBABILITY, _LOST_SHARE = 0.4, (0.1, 0.6)
+_BLOB_PROBABILITY, _BLOB_RADIUS = 0.4, (0.03, 0.1)
 _LIGHT, _CAMERA_ERROR, _RIM_ERROR = 0.12, 0.02, (-1, 2)
-"""How episodes are drawn: chance of every object of another world to be among them, and from where those are numbered; share of
-the width and height that the window has; of episodes with a pillar, and its share of the width; how often an object is lost, and
+"""How episodes are drawn: probability of every object of another world to be among them, and from where those are numbered; share
+of the width and height that the window has; of episodes with a pillar, and its share of the width; how often an object is lost, and
 for which share of the clip; parts of the mask that are nothing, and their radius as a share of the width; by how much light changes
 at most, by how much the camera's rotation is off (radians, over a second), and a mask's outline (pixels). Chosen by eye."""
 
@@ -130,7 +130,7 @@ def render(kind: WorldKind, seed: int, folder: Path) -> Rendered:
     return Rendered(*(found[name] for name in ("images", "masks", "viewmats", "K", "times")))
 
 
-def draw_episode(world: Rendered, guest: Rendered, rng: np.random.Generator) -> tuple[Clip, np.ndarray]:
+def draw_episode(world: Rendered, guest: Rendered, rng: np.random.Generator) -> tuple[MaskedFrames, np.ndarray]:
     """Return a way in which a world is seen, and the object [256] that every number is; below 0 of what is none.
 
     Args:
@@ -140,16 +140,16 @@ def draw_episode(world: Rendered, guest: Rendered, rng: np.random.Generator) -> 
     masks, times = world.masks.astype(int), world.times * rng.uniform(1, MAX_SLOWING)
     shown = world.images.copy()
     for number in np.unique(guest.masks[guest.masks > 0]).tolist():
-        if rng.random() < _GUEST_CHANCE:
+        if rng.random() < _GUEST_PROBABILITY:
             inside = guest.masks == number
             masks[inside], shown[inside] = _GUESTS + number, guest.images[inside]
     numbers = np.unique(masks[masks > 0]).tolist()
     for number in numbers:
-        if rng.random() < _LOST_CHANCE:
+        if rng.random() < _LOST_PROBABILITY:
             start, lasts = rng.uniform(0, times[-1]), rng.uniform(*_LOST_SHARE) * times[-1]
             lost = (times >= start) & (times < start + lasts)
             masks[lost] = np.where(masks[lost] == number, 0, masks[lost])
-    if rng.random() < _PILLAR_CHANCE:
+    if rng.random() < _PILLAR_PROBABILITY:
         left, wide = rng.uniform(0, width), rng.uniform(*_PILLAR_WIDTH) * width
         masks[:, :, int(left) : int(left + wide)] = 0
     _add_blobs(masks, rng)
@@ -166,7 +166,7 @@ def draw_episode(world: Rendered, guest: Rendered, rng: np.random.Generator) -> 
         viewmat[:3, :3] = cv2.Rodrigues(turns[k])[0] @ viewmat[:3, :3]
         cameras.append(Camera(viewmat, K, w, h))
     labels, owners = _number(cut)
-    return Clip(times, np.zeros(count, int), cameras, lambda k: labels[k], lambda k: images[k]), owners
+    return MaskedFrames(times, np.zeros(count, int), cameras, lambda k: labels[k], lambda k: images[k]), owners
 
 
 def _add_blobs(masks: np.ndarray, rng: np.random.Generator) -> None:
@@ -174,7 +174,7 @@ def _add_blobs(masks: np.ndarray, rng: np.random.Generator) -> None:
     count, height, width = masks.shape
     pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1)
     number = 0
-    while rng.random() < _BLOB_CHANCE:
+    while rng.random() < _BLOB_PROBABILITY:
         number -= 1
         start, lasts = rng.integers(count), rng.integers(3, count // 2)
         place, speed = rng.uniform(0, [width, height]), rng.normal(size=2) * 0.5
@@ -219,7 +219,7 @@ def _number(masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return labels, owners
 
 
-def read_known(clip: Clip, owners: np.ndarray) -> Known | None:
+def read_known(clip: MaskedFrames, owners: np.ndarray) -> Known | None:
     """Return the pairs of an episode; None if there are none."""
     pairs, areas = list_pairs(clip)
     pairs = [(a, b) for a, b in pairs if owners[a] >= 0 or owners[b] >= 0]
@@ -268,12 +268,12 @@ def fit(worlds: Iterable[Sequence[Known]]) -> Cost:
     return fit_cost(features, same, weights, LOGISTIC_RIDGE)
 
 
-def judge(known: Known, cost: Cost) -> list[Pair]:
-    """Return the pairs of an episode with their chances."""
-    chances = 1 / (1 + np.exp(-cost(known.features)))
+def classifier(known: Known, cost: Cost) -> list[Pair]:
+    """Return the pairs of an episode with their probabilities."""
+    probabilities = 1 / (1 + np.exp(-cost(known.features)))
     return [
-        Pair(int(a), int(b), int(last), int(first), float(chance))
-        for (a, b), (last, first), chance in zip(known.pairs, known.frames, chances, strict=True)
+        Pair(int(a), int(b), int(last), int(first), float(probability))
+        for (a, b), (last, first), probability in zip(known.pairs, known.frames, probabilities, strict=True)
     ]
 
 
@@ -297,7 +297,7 @@ def score(worlds: Iterable[Sequence[Known]], cost: Cost, gate: float) -> Score:
     for episodes in worlds:
         for known in episodes:
             truth = {(int(a), int(b)): bool(s) for (a, b), s in zip(known.pairs, known.same, strict=True)}
-            joined = join_pairs(judge(known, cost), gate)
+            joined = join_pairs(classifier(known, cost), gate)
             joins += len(joined)
             wrong += sum(not truth[each.before, each.after] for each in joined)
             possible += int(known.next.sum())
@@ -320,17 +320,21 @@ def choose_gate(worlds: Sequence[Sequence[Known]], cost: Cost) -> float:
 def tabulate_bands(worlds: Iterable[Sequence[Known]], cost: Cost) -> list[str]:
     """Return lines of a table: mean probability and share of what is one object, by bands of probability; and the Brier score."""
     known = [each for episodes in worlds for each in episodes]
-    chance = np.concatenate([1 / (1 + np.exp(-cost(each.features))) for each in known])
+    probability = np.concatenate([1 / (1 + np.exp(-cost(each.features))) for each in known])
     same = np.concatenate([each.same for each in known])
     lines = ["| probability | pairs | mean probability | one object |", "| --- | --- | --- | --- |"]
     for low, high in pairwise(BANDS):
-        inside = (chance >= low) & (chance < high)
+        inside = (probability >= low) & (probability < high)
         if inside.any():
-            lines.append(f"| {low} to {high} | {inside.sum()} | {chance[inside].mean():.3f} | {same[inside].mean():.3f} |")
-    return [*lines, "", f"Brier score {np.mean((chance - same) ** 2):.4f}; {same.mean():.3f} of {len(same)} pairs are one object."]
+            lines.append(f"| {low} to {high} | {inside.sum()} | {probability[inside].mean():.3f} | {same[inside].mean():.3f} |")
+    return [
+        *lines,
+        "",
+        f"Brier score {np.mean((probability - same) ** 2):.4f}; {same.mean():.3f} of {len(same)} pairs are one object.",
+    ]
 
 
-def plain(found: Judge, worlds: Iterable[str]) -> dict[str, Any]:
+def plain(found: ReturnClassifier, worlds: Iterable[str]) -> dict[str, Any]:
     """Return what ``WEIGHTS`` holds."""
     numbers = {key: [float(f"{x:.9g}") for x in getattr(found.cost, key)] for key in ("mean", "deviation", "weights")}
     return {"fitted on": list(worlds), "gate": found.gate, "maybe": found.maybe, "features": list(FEATURES), **numbers}
@@ -348,7 +352,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     }
     cost = fit(groups["fitted"].values())
     gate = choose_gate(list(groups["gate"].values()), cost)
-    found = Judge(cost, gate, MAYBE_CHANCE)
+    found = ReturnClassifier(cost, gate, MAYBE_PROBABILITY)
     lines = []
     for name, worlds in groups.items():
         kinds = ", ".join(f"{sum(w.startswith(kind) for w in worlds)} {kind}" for kind in COUNTS)

@@ -8,7 +8,7 @@ import pytest
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json
 from flowsplat.priors.objects.identity.cost import Cost
-from flowsplat.priors.objects.identity.returning import FEATURES, WEIGHTS, make_judge
+from flowsplat.priors.objects.identity.returning import FEATURES, WEIGHTS, make_classifier
 from flowsplat_benchmarks.scripts.returning import (
     GROUPS,
     Known,
@@ -22,10 +22,10 @@ from flowsplat_benchmarks.scripts.returning import (
 )
 
 
-def made_up(chances: list[float], pairs: list[tuple[int, int]], same: list[bool]) -> tuple[Known, Cost]:
-    """An episode whose pairs get these chances, by their first feature."""
+def made_up(probabilities: list[float], pairs: list[tuple[int, int]], same: list[bool]) -> tuple[Known, Cost]:
+    """An episode whose pairs get these probabilities, by their first feature."""
     features = np.zeros((len(pairs), len(FEATURES)))
-    features[:, 0] = [np.log(p / (1 - p)) for p in chances]
+    features[:, 0] = [np.log(p / (1 - p)) for p in probabilities]
     count = len(FEATURES)
     cost = Cost(np.zeros(count), np.ones(count), np.append(1.0, np.zeros(count + count * (count + 1) // 2)))
     frames = np.array([(5 * a, 5 * b) for a, b in pairs])
@@ -68,7 +68,7 @@ def test_groups_share_no_world_and_what_is_stored_belongs_to_the_features_that_a
     names = [world for group in GROUPS for world in list_worlds(group)]
     assert len(names) == len(set(names))
     values = read_json(WEIGHTS)
-    assert plain(make_judge(values), values["fitted on"]) == values
+    assert plain(make_classifier(values), values["fitted on"]) == values
     assert {tuple(name.split("-")) for name in values["fitted on"]} <= {(kind, str(seed)) for kind, seed in list_worlds("fitted")}
     with pytest.raises(InputError, match="other features"):
-        make_judge({**values, "features": values["features"][1:]})
+        make_classifier({**values, "features": values["features"][1:]})

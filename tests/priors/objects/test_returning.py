@@ -11,8 +11,8 @@ import pytest
 
 from flowsplat.geometry import Camera
 from flowsplat.priors.objects.distance import Cue
-from flowsplat.priors.objects.identity.appearance import Clip, look
-from flowsplat.priors.objects.identity.returning import Pair, join_pairs, judge_pairs, list_pairs, read_judge
+from flowsplat.priors.objects.identity.appearance import MaskedFrames, look
+from flowsplat.priors.objects.identity.returning import Pair, join_pairs, list_pairs, read_classifier, score_pairs
 from flowsplat.priors.objects.returns import describe_returns, find_returns, join_returns
 from flowsplat.priors.objects.shape_offset import ShapePoints
 from flowsplat.priors.objects.solving import DynamicObject
@@ -58,8 +58,8 @@ def film(people: Sequence[Person], turns: np.ndarray | None = None) -> tuple[np.
     return images, masks, cameras
 
 
-def clip_of(images: np.ndarray, masks: np.ndarray, cameras: list[Camera]) -> Clip:
-    return Clip(np.arange(FRAMES) / FPS, np.zeros(FRAMES, int), cameras, lambda k: masks[k], lambda k: images[k])
+def clip_of(images: np.ndarray, masks: np.ndarray, cameras: list[Camera]) -> MaskedFrames:
+    return MaskedFrames(np.arange(FRAMES) / FPS, np.zeros(FRAMES, int), cameras, lambda k: masks[k], lambda k: images[k])
 
 
 def during(first: int, last: int) -> np.ndarray:
@@ -80,14 +80,14 @@ BACK = [
 
 def test_who_walks_out_and_back_is_one_and_another_person_is_not():
     clip = clip_of(*film(BACK))
-    (pair,) = judge_pairs(clip)
+    (pair,) = score_pairs(clip)
     assert (pair.before, pair.after) == (1, 3)
     assert (pair.last, pair.first) == LEAVES_AND_BACK
-    assert join_pairs([pair], read_judge().gate) == [pair]
+    assert join_pairs([pair], read_classifier().gate) == [pair]
     stranger = [*BACK[:2], replace(BACK[2], colors=BLUE, top=50)]
-    (other,) = judge_pairs(clip_of(*film(stranger)))
-    assert other.chance < 0.5
-    assert join_pairs([other], read_judge().gate) == []
+    (other,) = score_pairs(clip_of(*film(stranger)))
+    assert other.probability < 0.5
+    assert join_pairs([other], read_classifier().gate) == []
 
 
 def test_a_camera_that_turns_away_and_back_is_taken_off():
@@ -103,18 +103,18 @@ def test_a_camera_that_turns_away_and_back_is_taken_off():
         assert ends[0].height == ends[1].height == pytest.approx(36 / WIDTH)
         np.testing.assert_allclose(ends[0].colors.sum(1), 1)
         assert ends[0].borders.tolist() == ends[1].borders.tolist() == [True, False, False, False]
-    assert judge_pairs(shown[0])[0].chance > 0.9
+    assert score_pairs(shown[0])[0].probability > 0.9
 
 
 def test_only_who_ends_before_another_begins_is_compared():
     always = [Person(n, RED, ALONG - 40 * n, 20, during(0, FRAMES)) for n in (1, 2)]
-    assert judge_pairs(clip_of(*film(always))) == []
+    assert score_pairs(clip_of(*film(always))) == []
     handed_over = [Person(1, RED, ALONG, 20, during(0, 20)), Person(2, RED, ALONG, 20, during(20, FRAMES))]
-    assert judge_pairs(clip_of(*film(handed_over))) == []
+    assert score_pairs(clip_of(*film(handed_over))) == []
     apart = [handed_over[0], replace(handed_over[1], shown=during(26, FRAMES))]
     clip = clip_of(*film(apart))
-    assert len(judge_pairs(clip)) == 1
-    assert judge_pairs(replace(clip, pieces=np.arange(FRAMES) // 22)) == [], "either side of a cut is a world of its own"
+    assert len(score_pairs(clip)) == 1
+    assert score_pairs(replace(clip, pieces=np.arange(FRAMES) // 22)) == [], "either side of a cut is a world of its own"
 
 
 def test_everyone_goes_on_once_and_the_surest_first():
@@ -175,13 +175,13 @@ def test_who_may_be_back_is_said_and_not_joined(tmp_path: Path):
     images, masks, cameras = film(BACK)
     scene = scene_of(tmp_path, images, masks, cameras)
     found = SceneObjects([], np.array([0, -1.0, 0]))
-    unsure = replace(find_returns(scene)[0], chance=0.7)
-    assert join_returns(scene, found, [unsure], replace(read_judge(), gate=0.9, maybe=0.5)) is found
+    unsure = replace(find_returns(scene)[0], probability=0.7)
+    assert join_returns(scene, found, [unsure], replace(read_classifier(), gate=0.9, maybe=0.5)) is found
     assert (stored(scene) == masks).all()
     words = "object 1 leaves at 1.7 s and may be back at 2.2 s as object 3 (70%)"
     assert scene.prior("masks")["verdict"] == f"3 moving objects on 12.5% of the image; {words}"
     scene.amend_prior("masks", verdict="3 moving objects on 12.5% of the image")
-    join_returns(scene, found, [replace(unsure, chance=0.1)], replace(read_judge(), gate=0.9, maybe=0.5))
+    join_returns(scene, found, [replace(unsure, probability=0.1)], replace(read_classifier(), gate=0.9, maybe=0.5))
     assert describe_returns(scene.prior("masks")) == "", "what an earlier run found is taken out"
 
 

@@ -6,10 +6,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Protocol
 
+import torch
 from torch import Tensor
 
 from flowsplat.common.devices import Kernels
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
+from flowsplat.geometry.rotations import normalize_quats, principal_axes
 
 Gradients = dict[str, Tensor]
 """By parameter, the gradient of the rows that ``Gaussians4D.rows_of`` names."""
@@ -48,6 +50,14 @@ class Slice:
     next_means: Tensor | None
     next_quats: Tensor | None
     slopes: Tensor | None = None
+
+    def decompose(self) -> tuple[Tensor, Tensor]:
+        """Return unit quaternions [A, 4] and logarithms of scales [A, 3], of general covariances their principal axes."""
+        if self.covars is not None:
+            return principal_axes(self.covars)
+        assert self.quats is not None
+        assert self.scales is not None
+        return normalize_quats(self.quats), torch.log(self.scales)
 
 
 class SliceKernels(Protocol):

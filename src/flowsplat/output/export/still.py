@@ -11,7 +11,7 @@ from torch import Tensor
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.slicing import slice_gaussians
 from flowsplat.gaussians.slicing.reference import time_gains
-from flowsplat.geometry.rotations import multiply_quats, normalize_quats, principal_axes, rotations_to_quats
+from flowsplat.geometry.rotations import multiply_quats, rotations_to_quats
 from flowsplat.splatting.harmonics import harmonics_basis, harmonics_count
 from flowsplat.splatting.rules import C0
 
@@ -66,12 +66,7 @@ def still_at(model: SceneModel, seconds: float, *, flip_axes: bool = False) -> S
     gaussians = model.gaussians
     active = gaussians.active(model.clip_time(seconds))
     sliced = slice_gaussians(gaussians, active, torch.zeros(3))
-    if sliced.covars is not None:
-        quats, log_scales = principal_axes(sliced.covars)
-    else:
-        assert sliced.quats is not None
-        assert sliced.scales is not None
-        quats, log_scales = normalize_quats(sliced.quats), torch.log(sliced.scales)
+    quats, log_scales = sliced.decompose()
     sh = gaussians.params["sh"][active.rows][:, : harmonics_count(gaussians.sh_degree)].clone()
     if gaussians.config.gains and active.num_static:
         gains = time_gains(gaussians.params["log_gains"][active.rows[: active.num_static]], active.t)

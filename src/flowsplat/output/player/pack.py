@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
+from flowsplat.common.progress import report
 from flowsplat.common.spread import spread
 from flowsplat.gaussians.confidence_fade import MAX_DIRECTION_DIFFERENCE, MIN_FADE_REACH, reach
 from flowsplat.gaussians.flow import blend_features
@@ -113,6 +114,8 @@ def pack(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], t
             break
         # What images change by out of proportion: whose turn it is to be in front, above all.
         asked += MIN_PSNR - found + _PSNR_MARGIN
+    else:
+        report(f"The page's images are {found:.1f} dB from those of the scene, less than the {MIN_PSNR:.0f} that are asked for.")
     encoded = [array.encode() for array in arrays]
     about["arrays"] = [header for header, _ in encoded]
     # Neighbors are hardly ever equal: what counts are short blocks, each with a code of its own for its numbers.

@@ -14,9 +14,9 @@ from flowsplat.common.spread import spread
 from flowsplat.gaussians.flow import blend_features
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
 from flowsplat.gaussians.slicing import slice_gaussians
+from flowsplat.gaussians.slicing.reference import time_gains
 from flowsplat.gaussians.slopes import image_slopes
 from flowsplat.geometry import Camera
-from flowsplat.geometry.rotations import normalize_quats, principal_axes
 from flowsplat.splatting import blend, project
 from flowsplat.splatting.harmonics import harmonics_basis, harmonics_count
 
@@ -70,12 +70,7 @@ def _measure_view(gaussians: Gaussians4D, camera: Camera, t: float, generator: t
     center = torch.as_tensor(camera.center, dtype=torch.float32)
     with torch.no_grad():
         sliced = slice_gaussians(gaussians, active, center)
-    if sliced.covars is not None:
-        quats, log_scales = principal_axes(sliced.covars)
-    else:
-        assert sliced.quats is not None
-        assert sliced.scales is not None
-        quats, log_scales = normalize_quats(sliced.quats), torch.log(sliced.scales)
+    quats, log_scales = sliced.decompose()
     given = [sliced.means, quats, log_scales, sliced.opacities, sliced.colors]
     leaves = [value.detach().clone().requires_grad_() for value in given]
     means, quats, log_scales, opacities, colors = leaves
@@ -108,7 +103,7 @@ def _measure_view(gaussians: Gaussians4D, camera: Camera, t: float, generator: t
         cosines = [math.cos(math.pi * k * t) for k in range(1, gaussians.config.gains + 1)]
         gain = torch.ones(len(rows))
         if cosines:
-            gain[:n] = torch.exp(params["log_gains"][rows[:n]] @ torch.tensor(cosines))
+            gain[:n] = time_gains(params["log_gains"][rows[:n]], t)
         degree = gaussians.sh_degree
         basis = harmonics_basis(torch.nn.functional.normalize(sliced.means - center, dim=-1), degree)
         by_sh = (gain[:, None] * by_color)[:, None] * basis[..., None]  # [A, K, 3]

@@ -14,7 +14,7 @@ import numpy as np
 
 from flowsplat.common.spread import spread
 from flowsplat.geometry import Camera, Similarity
-from flowsplat.geometry.cameras import MAX_COORDINATE
+from flowsplat.geometry.similarity import align_points
 from flowsplat.scenes import Scene
 
 COMPARED_FRAMES = 6
@@ -189,7 +189,7 @@ def _fit(matches: _Matches, limit: float) -> Similarity | None:
     best, most = None, 0
     for _ in range(RANSAC_SAMPLES):
         rows = rng.choice(len(matches.points[0]), 3, replace=False)
-        similarity = _align(matches.points[0][rows], matches.points[1][rows])
+        similarity = align_points(matches.points[0][rows], matches.points[1][rows])
         if similarity is None:
             continue
         count = int((matches.distances(similarity) < limit).sum())
@@ -204,23 +204,8 @@ def _refine(matches: _Matches, similarity: Similarity, limit: float) -> Similari
         agreed = matches.distances(similarity) < limit
         # What is twice as far away has twice as large errors: of depth, and of pixels.
         weights = 1 / matches.depths(1)[agreed] ** 2
-        better = _align(matches.points[0][agreed], matches.points[1][agreed], weights)
+        better = align_points(matches.points[0][agreed], matches.points[1][agreed], weights)
         if better is None or (matches.distances(better) < limit).sum() <= agreed.sum():
             break
         similarity = better
     return similarity
-
-
-def _align(points: np.ndarray, others: np.ndarray, weights: np.ndarray | None = None) -> Similarity | None:
-    """Return the similarity that brings points [N, 3] onto others (Umeyama, PAMI 1991); None where they have no extent."""
-    w = np.ones(len(points)) if weights is None else weights
-    w = w[:, None] / w.sum()
-    a, b = (w * points).sum(0), (w * others).sum(0)
-    U, S, Vt = np.linalg.svd((w * (others - b)).T @ (points - a))
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
-    extent = float((w * (points - a) ** 2).sum())
-    scale = float((S * signs).sum()) / max(extent, 1e-300)
-    if extent < 1e-18 or not 1 / MAX_COORDINATE < scale < MAX_COORDINATE:
-        return None
-    rotation = U @ np.diag(signs) @ Vt
-    return Similarity(scale, rotation, b - scale * rotation @ a)

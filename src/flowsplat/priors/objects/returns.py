@@ -10,8 +10,8 @@ import numpy as np
 
 from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.objects.areas import describe_count, large_objects
-from flowsplat.priors.objects.identity.appearance import Clip
-from flowsplat.priors.objects.identity.returning import Judge, Pair, join_pairs, judge_pairs, read_judge
+from flowsplat.priors.objects.identity.appearance import MaskedFrames
+from flowsplat.priors.objects.identity.returning import Pair, ReturnClassifier, join_pairs, read_classifier, score_pairs
 from flowsplat.priors.objects.shape_offset import ShapePoints
 from flowsplat.priors.objects.solving import DynamicObject
 from flowsplat.priors.objects.storage import SceneObjects
@@ -19,24 +19,26 @@ from flowsplat.scenes import Scene
 
 RETURNS, MAY_RETURN = "returns", "may_return"
 """What the record of masks calls those that are one and those that may be: ``object``, ``leaves`` and ``back`` in seconds and
-``chance``, and of the latter ``as``, the number with which it may be back."""
+``probability``, and of the latter ``as``, the number with which it may be back."""
 
 
 def find_returns(scene: Scene) -> list[Pair]:
-    """Return the pairs of numbers of which one ends before the other begins, each with the chance that they are one object.
+    """Return the pairs of numbers of which one ends before the other begins, each with the probability that they are one object.
 
     Needs cameras, and masks with the numbers of ``identify_objects``; frames are positions in ``scene.train_frames``.
     """
     frames, continuity = scene.train_frames, Continuity(scene)
     every = scene.cameras
-    clip = Clip(
+    clip = MaskedFrames(
         np.asarray(scene.timestamps)[frames], np.asarray(continuity.pieces), [every[i] for i in frames],
         lambda k: scene.mask(frames[k]), lambda k: scene.frame(frames[k]),
     )  # fmt: skip
-    return judge_pairs(clip)
+    return score_pairs(clip)
 
 
-def join_returns(scene: Scene, found: SceneObjects, pairs: Sequence[Pair], judge: Judge | None = None) -> SceneObjects:
+def join_returns(
+    scene: Scene, found: SceneObjects, pairs: Sequence[Pair], classifier: ReturnClassifier | None = None
+) -> SceneObjects:
     """Return the objects, those that are one as one, and rewrite the stored masks and their record; nothing without pairs.
 
     The earlier number stays, and numbers stay without gaps. Before and after an absence each keeps the depth that it was solved
@@ -45,10 +47,10 @@ def join_returns(scene: Scene, found: SceneObjects, pairs: Sequence[Pair], judge
     Args:
         found: objects with the numbers of the masks.
         pairs: of ``find_returns``.
-        judge: None = the package's own.
+        classifier: None = the package's own.
     """
-    judge = judge or read_judge()
-    joined = join_pairs(pairs, judge.gate)
+    classifier = classifier or read_classifier()
+    joined = join_pairs(pairs, classifier.gate)
     first, second = {pair.before for pair in joined}, {pair.after for pair in joined}
     rest = [pair for pair in pairs if pair.before not in first and pair.after not in second]
     table = np.arange(256)
@@ -60,7 +62,7 @@ def join_returns(scene: Scene, found: SceneObjects, pairs: Sequence[Pair], judge
             objects[number] = _merge(objects[number], obj) if number in objects else replace(obj, number=number)
         found = replace(found, objects=list(objects.values()))
     _record(scene, [_tell(scene, pair, table) for pair in joined], [
-        {**_tell(scene, pair, table), "as": int(table[pair.after])} for pair in join_pairs(rest, judge.maybe)
+        {**_tell(scene, pair, table), "as": int(table[pair.after])} for pair in join_pairs(rest, classifier.maybe)
     ])  # fmt: skip
     return found
 
@@ -69,17 +71,17 @@ def describe_returns(masks: Mapping[str, Any]) -> str:
     """Return what the record of masks says of who comes back, ``""`` of nobody.
 
     Examples:
-        >>> told = {"object": 1, "leaves": 3.2, "back": 5.1, "chance": 0.96}
+        >>> told = {"object": 1, "leaves": 3.2, "back": 5.1, "probability": 0.96}
         >>> describe_returns({"returns": [told]})
         'object 1 leaves at 3.2 s and is back at 5.1 s, sure to 96%'
-        >>> describe_returns({"may_return": [{**told, "chance": 0.7, "as": 2}]})
+        >>> describe_returns({"may_return": [{**told, "probability": 0.7, "as": 2}]})
         'object 1 leaves at 3.2 s and may be back at 5.1 s as object 2 (70%)'
     """
     words = []
     for each in masks.get(RETURNS, []):
-        words.append(f"{_leaves(each)} and is back at {each['back']:.1f} s, sure to {each['chance']:.0%}")
+        words.append(f"{_leaves(each)} and is back at {each['back']:.1f} s, sure to {each['probability']:.0%}")
     for each in masks.get(MAY_RETURN, []):
-        words.append(f"{_leaves(each)} and may be back at {each['back']:.1f} s as object {each['as']} ({each['chance']:.0%})")
+        words.append(f"{_leaves(each)} and may be back at {each['back']:.1f} s as object {each['as']} ({each['probability']:.0%})")
     return "; ".join(words)
 
 
@@ -114,7 +116,12 @@ def _merge(a: DynamicObject, b: DynamicObject) -> DynamicObject:
 
 def _tell(scene: Scene, pair: Pair, table: np.ndarray) -> dict[str, Any]:
     leaves, back = (float(scene.timestamps[scene.train_frames[k]]) for k in (pair.last, pair.first))
-    return {"object": int(table[pair.before]), "leaves": round(leaves, 3), "back": round(back, 3), "chance": round(pair.chance, 3)}
+    return {
+        "object": int(table[pair.before]),
+        "leaves": round(leaves, 3),
+        "back": round(back, 3),
+        "probability": round(pair.probability, 3),
+    }
 
 
 def _record(scene: Scene, returns: list[dict[str, Any]], may_return: list[dict[str, Any]]) -> None:

@@ -26,7 +26,7 @@ BORDER_SHARE = 0.01
 
 
 @dataclass(frozen=True)
-class Clip:
+class MaskedFrames:
     """What is looked at, by the position of the frame in the clip.
 
     Attributes:
@@ -70,7 +70,7 @@ class Appearance:
     borders: np.ndarray
 
 
-def look(clip: Clip, number: int, frames: np.ndarray, areas: np.ndarray, is_end: bool) -> Appearance:
+def look(clip: MaskedFrames, number: int, frames: np.ndarray, areas: np.ndarray, is_end: bool) -> Appearance:
     """Return how an object looks at its end, or at its beginning.
 
     Args:

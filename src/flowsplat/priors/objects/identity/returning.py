@@ -20,7 +20,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json
 from flowsplat.geometry import Camera
 from flowsplat.priors.objects.areas import SMALL_PART_SHARE
-from flowsplat.priors.objects.identity.appearance import Appearance, Clip, look
+from flowsplat.priors.objects.identity.appearance import Appearance, MaskedFrames, look
 from flowsplat.priors.objects.identity.cost import Cost
 
 WEIGHTS = Path(__file__).with_name("returning.json")
@@ -34,13 +34,13 @@ SHARED_NUMBER = 255
 """Number that all further objects share where there are more (``paint``)."""
 MAX_DISTANCE = 2.0
 """Long sides of the image: what is farther from where it was is as good as anywhere. Chosen by eye."""
-COAST_SECONDS = 0.5
+EXTRAPOLATED_SECONDS = 0.5
 """Seconds for which what is not seen is taken to go on as before. Chosen by eye."""
-NO_RIVAL = 0.25
-"""Of ``rival``, where nothing else is there that could be mistaken for it. Chosen by eye."""
+NO_OTHERS_MARGIN = 0.25
+"""Of ``margin``, where nothing else is there that could be mistaken for it. Chosen by eye."""
 FEATURES = (
     "colors", "colors by thirds", "median colors by thirds", "height", "area", "aspect", "seconds", "distance",
-    "distance by size", "distance if it went on", "borders that it passes", "same border", "rival",
+    "distance by size", "distance if it went on", "borders that it passes", "same border", "margin",
 )  # fmt: skip
 
 
@@ -51,18 +51,18 @@ class Pair:
     Attributes:
         before, after: the numbers.
         last, first: frames, the last one of ``before`` and the first one of ``after``.
-        chance: that they are one object.
+        probability: that they are one object.
     """
 
     before: int
     after: int
     last: int
     first: int
-    chance: float
+    probability: float
 
 
 @dataclass(frozen=True)
-class Judge:
+class ReturnClassifier:
     """The fitted function, and what is done with it.
 
     Attributes:
@@ -76,7 +76,7 @@ class Judge:
     maybe: float
 
 
-def make_judge(values: Mapping[str, Any]) -> Judge:
+def make_classifier(values: Mapping[str, Any]) -> ReturnClassifier:
     """Return what ``WEIGHTS`` holds.
 
     Raises:
@@ -85,16 +85,16 @@ def make_judge(values: Mapping[str, Any]) -> Judge:
     if values["features"] != list(FEATURES):
         raise InputError(f"{WEIGHTS.name} has other features; run python -m flowsplat_benchmarks.scripts.returning.")
     cost = Cost(*(np.array(values[key], float) for key in ("mean", "deviation", "weights")))
-    return Judge(cost, float(values["gate"]), float(values["maybe"]))
+    return ReturnClassifier(cost, float(values["gate"]), float(values["maybe"]))
 
 
 @cache
-def read_judge() -> Judge:
+def read_classifier() -> ReturnClassifier:
     """Return the package's own."""
-    return make_judge(read_json(WEIGHTS))
+    return make_classifier(read_json(WEIGHTS))
 
 
-def list_pairs(clip: Clip) -> tuple[list[tuple[int, int]], np.ndarray]:
+def list_pairs(clip: MaskedFrames) -> tuple[list[tuple[int, int]], np.ndarray]:
     """Return the pairs of numbers, one of which ends before the other begins, in the same piece of the clip.
 
     Small parts are not among them: what they are of is not known, and not whether they are one thing (``areas``).
@@ -118,7 +118,7 @@ def list_pairs(clip: Clip) -> tuple[list[tuple[int, int]], np.ndarray]:
     return pairs, areas
 
 
-def compute_features(clip: Clip, pairs: Sequence[tuple[int, int]], areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def compute_features(clip: MaskedFrames, pairs: Sequence[tuple[int, int]], areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return ``FEATURES`` [E, F] of pairs, and the last frame of the earlier and the first one of the later number [E, 2].
 
     Args:
@@ -139,16 +139,16 @@ def compute_features(clip: Clip, pairs: Sequence[tuple[int, int]], areas: np.nda
     for row, (a, b) in enumerate(pairs):
         end, start = look_at(a, True), look_at(b, False)
         own = _compare_colors(end, start)
-        rivals: list[float] = []
+        distances_to_others: list[float] = []
         for other in large:
             if other in (a, b):
                 continue
             if areas[areas[:, a] > 0, other].any():  # it is not the one that ended
-                rivals.append(_compare_colors(look_at(other, True), start)[1])
+                distances_to_others.append(_compare_colors(look_at(other, True), start)[1])
             if areas[areas[:, b] > 0, other].any():  # nor the one that begins
-                rivals.append(_compare_colors(end, look_at(other, False))[1])
-        rival = min(rivals) - own[1] if rivals else NO_RIVAL
-        features[row] = [*own, *_compare_outlines(clip, end, start), rival]
+                distances_to_others.append(_compare_colors(end, look_at(other, False))[1])
+        margin = min(distances_to_others) - own[1] if distances_to_others else NO_OTHERS_MARGIN
+        features[row] = [*own, *_compare_outlines(clip, end, start), margin]
         frames[row] = end.frame, start.frame
     return features, frames
 
@@ -160,12 +160,12 @@ def _compare_colors(end: Appearance, start: Appearance) -> tuple[float, float, f
     return float(apart[0]), float(apart[1:].mean()), float(np.log(np.linalg.norm(end.lab - start.lab, axis=1).mean() / 10 + 0.1))
 
 
-def _compare_outlines(clip: Clip, end: Appearance, start: Appearance) -> list[float]:
+def _compare_outlines(clip: MaskedFrames, end: Appearance, start: Appearance) -> list[float]:
     seconds = float(clip.times[start.frame] - clip.times[end.frame])
     cameras, long_side = (clip.cameras[end.frame], clip.cameras[start.frame]), max(clip.mask(0).shape)
     stays = _turn_with_camera(end.middle, *cameras)
-    goes = _turn_with_camera(end.middle + end.velocity * min(seconds, COAST_SECONDS), *cameras)
-    came = start.middle - start.velocity * min(seconds, COAST_SECONDS)
+    goes = _turn_with_camera(end.middle + end.velocity * min(seconds, EXTRAPOLATED_SECONDS), *cameras)
+    came = start.middle - start.velocity * min(seconds, EXTRAPOLATED_SECONDS)
     away, on, back = (
         min(float(np.linalg.norm(p - q)) / long_side, MAX_DISTANCE)
         for p, q in ((stays, start.middle), (goes, start.middle), (stays, came))
@@ -185,19 +185,19 @@ def _turn_with_camera(place: np.ndarray, before: Camera, after: Camera) -> np.nd
     return np.array([x, y]) / z if z > 1e-3 else np.full(2, np.inf)
 
 
-def judge_pairs(clip: Clip, judge: Judge | None = None) -> list[Pair]:
-    """Return all pairs of numbers of which one ends before the other begins, and the chance that each is one object.
+def score_pairs(clip: MaskedFrames, classifier: ReturnClassifier | None = None) -> list[Pair]:
+    """Return all pairs of numbers of which one ends before the other begins, and the probability that each is one object.
 
     Args:
-        judge: None = the package's own.
+        classifier: None = the package's own.
     """
     pairs, areas = list_pairs(clip)
     if not pairs:
         return []
     features, frames = compute_features(clip, pairs, areas)
-    log_odds = (judge or read_judge()).cost(features)
-    chances = 1 / (1 + np.exp(-log_odds))
-    return [Pair(a, b, int(f[0]), int(f[1]), float(p)) for (a, b), f, p in zip(pairs, frames, chances, strict=True)]
+    log_odds = (classifier or read_classifier()).cost(features)
+    probabilities = 1 / (1 + np.exp(-log_odds))
+    return [Pair(a, b, int(f[0]), int(f[1]), float(p)) for (a, b), f, p in zip(pairs, frames, probabilities, strict=True)]
 
 
 def join_pairs(pairs: Sequence[Pair], gate: float) -> list[Pair]:
@@ -207,8 +207,8 @@ def join_pairs(pairs: Sequence[Pair], gate: float) -> list[Pair]:
     """
     follows, goes_on = set[int](), set[int]()
     joined = []
-    for pair in sorted(pairs, key=lambda each: -each.chance):
-        if pair.chance >= gate and pair.before not in goes_on and pair.after not in follows:
+    for pair in sorted(pairs, key=lambda each: -each.probability):
+        if pair.probability >= gate and pair.before not in goes_on and pair.after not in follows:
             goes_on.add(pair.before)
             follows.add(pair.after)
             joined.append(pair)
