@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import rigid
 from flowsplat.priors.background.ground import Ground, find_ground, static_points
-from flowsplat.priors.objects.contact import compute_ground_bound, middle_of, upright_ratio
-from flowsplat.priors.objects.contact_cues import contact_cue, foot_offset, make_thrown_cue, settle_on_ground
+from flowsplat.priors.objects.contact import Bound, compute_ground_bound, middle_of, upright_ratio
+from flowsplat.priors.objects.contact_cues import Feet, contact_cue, find_jumps, foot_offset, make_thrown_cue, settle_on_ground
 from flowsplat.priors.objects.depth_trajectory import check_laws
 from flowsplat.priors.objects.distance import Cue, combine
 from flowsplat.priors.objects.path import WorldPath, bounce_frames, constant_height, pivot
@@ -106,6 +108,10 @@ def test_points_and_normals_of_depth():
     np.testing.assert_allclose(camera.project(points)[1], found)
 
 
+ALONE = np.zeros((180, 320), bool)
+"""No other objects."""
+
+
 def seen_static(camera: Camera, edge: float = np.inf, far: float = 12.0) -> np.ndarray:
     """Planar depth [90, 160] of a ground that ends ``edge`` away from the world's origin, before a wall so ``far`` away."""
     y, x = np.mgrid[:90, :160]
@@ -122,7 +128,7 @@ def test_what_stands_is_where_its_feet_are(roll, height):
     camera = look(np.array([0, 0, height]), np.array([0, 6.0, 0.8]), roll)
     mask = image_of(camera, np.array([0.4, 6.0, 0.0]), 0.5, 1.7)
     static = seen_static(camera)
-    bound = compute_ground_bound(mask, camera, ground, static)
+    bound = compute_ground_bound(mask, ALONE, camera, ground, static)
     assert bound is not None
     assert bound.visible
     middle = middle_of(mask)
@@ -140,9 +146,9 @@ def test_feet_behind_the_edge_of_the_ground_say_nothing():
     walker = image_of(camera, np.array([0, 10.0, -1.0]), 0.6, 1.7)
     walker[int(edge) :] = False
     assert walker.sum() > 300
-    assert compute_ground_bound(walker, camera, ground, seen_static(camera, edge=7.0, far=40.0)) is None
+    assert compute_ground_bound(walker, ALONE, camera, ground, seen_static(camera, edge=7.0, far=40.0)) is None
     before = image_of(camera, np.array([0, 5.0, 0.0]), 0.6, 1.7)
-    assert compute_ground_bound(before, camera, ground, seen_static(camera, edge=7.0, far=40.0)) is not None
+    assert compute_ground_bound(before, ALONE, camera, ground, seen_static(camera, edge=7.0, far=40.0)) is not None
 
 
 def test_what_is_deep_is_where_its_middle_stands():
@@ -153,7 +159,7 @@ def test_what_is_deep_is_where_its_middle_stands():
     wheels = [image_of(camera, np.array([x, 6.0 + 0.5 * x, 0.0]), 0.3, 0.3) for x in (-0.8, 0.8)]
     bonnet = image_of(camera, np.array([0, 6.0, 0.3]), 1.9, 0.6)
     mask = wheels[0] | wheels[1] | bonnet
-    bound = compute_ground_bound(mask, camera, ground, seen_static(camera))
+    bound = compute_ground_bound(mask, ALONE, camera, ground, seen_static(camera))
     assert bound is not None
     middle = middle_of(mask)
     ray = camera.unproject(middle[None], np.ones(1))[0] - camera.center
@@ -174,19 +180,65 @@ def test_who_dances_stands_and_what_flies_does_not():
     assert contact_cue(0.04 * wave, visible & (np.arange(30) < 10), 30) is None, "its feet are hidden in most frames"
 
 
+def test_a_mask_that_holds_something_else_for_a_while_stands_all_the_same():
+    """Seven frames with a shadow, one without feet: most agree, and both ends of what does not are jumps."""
+    bounds, visible = 0.3 + 0.01 * np.sin(np.arange(40)), np.ones(40, bool)
+    spoiled = bounds.copy()
+    spoiled[4:11] -= 0.6
+    spoiled[25] += 0.4
+    jumps = find_jumps(spoiled, visible, 40)
+    np.testing.assert_array_equal(np.flatnonzero(jumps), [*range(4, 11), 25])
+    assert contact_cue(spoiled, visible, 40) is None
+    stands = contact_cue(spoiled, visible & ~jumps, 40)
+    assert stands is not None
+    assert stands == pytest.approx(contact_cue(bounds, visible & ~jumps, 40))
+    assert Feet.of([None if np.isnan(b) else Bound(b, b, True, True, np.zeros((0, 2), int)) for b in spoiled], 40).unevenness(
+        np.zeros(40)
+    ) == pytest.approx(0.02, abs=0.01)
+
+
+def test_what_bounces_does_not_jump_and_what_jumps_most_of_the_time_says_nothing():
+    """Half a meter up at five meters, twice a second, in 24 frames a second: no step of two frames is a jump."""
+    time = np.arange(40) / 24
+    height = 4 * 0.1 * (2 * time % 1) * (1 - 2 * time % 1)
+    assert not find_jumps(height, np.ones(40, bool), 40).any()
+    restless = np.where(np.arange(40) % 3 == 0, 0.5, 0.0) + np.where(np.arange(40) % 3 == 1, 1.0, 0.0)
+    assert not find_jumps(restless, np.ones(40, bool), 40).any(), "no third of the frames is most of them"
+
+
+def test_a_part_that_ends_on_another_object_stands_on_no_ground_that_was_not_seen():
+    ground = seen_ground()
+    assert ground is not None
+    camera = look(np.array([0, 0, 4.0]), np.array([0, 6.0, 0.8]))
+    walker = image_of(camera, np.array([0, 6.0, 0.0]), 0.5, 1.7)
+    head = walker.copy()
+    head[int(np.nonzero(walker)[0].mean()) :] = False
+    supposed = replace(ground, heights=np.full_like(ground.heights, np.nan))
+    static = np.full((90, 160), np.inf)
+    for known, visible in ((supposed, False), (ground, True)):
+        bound = compute_ground_bound(head, walker & ~head, camera, known, static)
+        assert bound is not None
+        assert bound.visible == visible
+    alone = compute_ground_bound(head, ALONE, camera, supposed, static)
+    assert alone is not None
+    assert alone.visible
+
+
 def test_what_floats_is_bounded_from_afar_and_hidden_feet_are_noticed():
     ground = seen_ground()
     assert ground is not None
     camera = look(np.array([0, 0, 1.6]), np.array([0, 6.0, 0.8]))
-    standing = compute_ground_bound(image_of(camera, np.array([0, 6.0, 0.0]), 0.5, 1.0), camera, ground, seen_static(camera))
-    floating = compute_ground_bound(image_of(camera, np.array([0, 6.0, 0.5]), 0.5, 1.0), camera, ground, seen_static(camera))
-    hidden = compute_ground_bound(image_of(camera, np.array([0, 6.0, 0.2]), 0.5, 1.0), camera, ground, np.full((90, 160), 3.0))
+    standing = compute_ground_bound(image_of(camera, np.array([0, 6.0, 0.0]), 0.5, 1.0), ALONE, camera, ground, seen_static(camera))
+    floating = compute_ground_bound(image_of(camera, np.array([0, 6.0, 0.5]), 0.5, 1.0), ALONE, camera, ground, seen_static(camera))
+    hidden = compute_ground_bound(
+        image_of(camera, np.array([0, 6.0, 0.2]), 0.5, 1.0), ALONE, camera, ground, np.full((90, 160), 3.0)
+    )
     assert standing is not None
     assert floating is not None
     assert hidden is not None
     assert floating.log_depth > standing.log_depth + 0.2
     assert not hidden.visible
-    assert compute_ground_bound(np.zeros((180, 320), bool), camera, ground, np.full((90, 160), 3.0)) is None
+    assert compute_ground_bound(np.zeros((180, 320), bool), ALONE, camera, ground, np.full((90, 160), 3.0)) is None
 
 
 def test_an_upright_billboard_is_not_flat_in_planar_depth():

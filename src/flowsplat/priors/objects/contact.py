@@ -33,7 +33,8 @@ class Bound:
     Attributes:
         log_depth: logarithm of the planar depth of the billboard's middle at which it would touch the ground, below its middle.
         lowest_log_depth: the same if its lowest pixels touched the ground right below its middle.
-        visible: whether its lowest pixels are in the image and nothing stands before them.
+        visible: whether its lowest pixels are in the image and nothing stands before them; nor another object, where the ground was
+            not seen.
         seen: whether the ground was seen there, and is not only supposed to go on.
         lowest: [n, 2] int, (column, row) of its lowest pixels.
     """
@@ -65,11 +66,11 @@ def middle_of(mask: np.ndarray) -> np.ndarray:
     return np.array([np.median(x), np.median(y)]) + 0.5
 
 
-def compute_ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, static: np.ndarray) -> Bound | None:
+def compute_ground_bound(mask: np.ndarray, others: np.ndarray, camera: Camera, ground: Ground, static: np.ndarray) -> Bound | None:
     """Return the bound of one frame.
 
     Args:
-        mask: bool [h, w], of one object.
+        mask: bool [h, w], of one object; others: of all others that move.
         camera: of the frame, at that size.
         static: planar depth of the static scene, of any size; inf where it is not sure.
 
@@ -79,22 +80,12 @@ def compute_ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, stati
     height, width = mask.shape
     if mask.sum() < MIN_PIXELS:
         return None
-    # The rim on the side where the ground comes nearer; a camera may be rolled, so the side is that of the image's "down".
-    down = camera.viewmat[:3, :3] @ -ground.normal
-    column, row = (round(float(v)) for v in down[:2] / max(float(np.abs(down[:2]).max()), 1e-9))
-    shifted = cv2.warpAffine(
-        mask.astype(np.uint8), np.array([[1.0, 0, -column], [0, 1.0, -row]]), (width, height), flags=cv2.INTER_NEAREST
-    )
-    y, x = np.nonzero(mask & (shifted == 0))
+    x, y, (column, row), lowest = _lower_rim(mask, camera, ground.normal)
     pixels = np.stack([x + 0.5 + 0.5 * column, y + 0.5 + 0.5 * row], 1)
+    count = max(3, int(LOWEST_PIXELS * np.sqrt(mask.sum())))
     depth, seen = ground.depth(camera, pixels)
     middle = middle_of(mask)
     log_depth = np.log(depth) - np.log(upright_ratio(camera, ground.normal, middle, pixels))
-    # The lowest pixels are those nearest to the camera's foot on the ground, whether the ground is known there or not.
-    rays = camera.unproject(pixels, np.ones(len(pixels))) - camera.center
-    order = np.argsort(rays @ ground.normal, kind="stable")
-    count = max(3, int(LOWEST_PIXELS * np.sqrt(mask.sum())))
-    lowest = order[: min(count, len(order))]
     known = np.isfinite(log_depth)
     if known[lowest].mean() < 0.5:
         return None
@@ -113,10 +104,52 @@ def compute_ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, stati
         rows, columns = (below_y * static.shape[0]) // height, (below_x * static.shape[1]) // width
         ahead = float(np.median(np.log(static[rows[inside], columns[inside]]) - np.log(depth[lowest][inside])))
         visible = ahead > -MIN_HIDING
+        # Neither ground nor feet are seen: it is a part of what it ends on, or stands behind it.
+        visible &= was_seen or float(others[below_y[inside], below_x[inside]].mean()) <= 0.5
         if not was_seen and np.isfinite(ahead) and ahead > MAX_BEYOND_GROUND:
             return None
     touching = np.argsort(np.where(known, log_depth, np.inf), kind="stable")[: min(count, int(known.sum()))]
     return Bound(below_middle, bound, visible, was_seen, np.stack([x, y], 1)[touching])
+
+
+def _lower_rim(mask: np.ndarray, camera: Camera, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[int, int], np.ndarray]:
+    """Return x, y [n] of the pixels on an object's lower rim, the step (columns, rows) down from there, and which of them are its
+    lowest [m].
+
+    The rim is on the side where the ground comes nearer; a camera may be rolled, so the side is that of the image's "down".
+    """
+    height, width = mask.shape
+    down = camera.viewmat[:3, :3] @ -normal
+    column, row = (round(float(v)) for v in down[:2] / max(float(np.abs(down[:2]).max()), 1e-9))
+    shifted = cv2.warpAffine(
+        mask.astype(np.uint8), np.array([[1.0, 0, -column], [0, 1.0, -row]]), (width, height), flags=cv2.INTER_NEAREST
+    )
+    y, x = np.nonzero(mask & (shifted == 0))
+    pixels = np.stack([x + 0.5 + 0.5 * column, y + 0.5 + 0.5 * row], 1)
+    # The lowest pixels are those nearest to the camera's foot on the ground, whether the ground is known there or not.
+    rays = camera.unproject(pixels, np.ones(len(pixels))) - camera.center
+    order = np.argsort(rays @ normal, kind="stable")
+    return x, y, (column, row), order[: max(3, int(LOWEST_PIXELS * np.sqrt(mask.sum())))]
+
+
+def find_below(mask: np.ndarray, number: int, camera: Camera, normal: np.ndarray) -> tuple[int, np.ndarray]:
+    """Return the number of the object that lies right below most of the lowest pixels of another, 0 where none does, and these
+    pixels [n, 2] int (column, row).
+
+    Args:
+        mask: [h, w], numbers of objects; ``number``: of the upper one.
+        normal: [3] up.
+    """
+    height, width = mask.shape
+    x, y, (column, row), lowest = _lower_rim(mask == number, camera, normal)
+    reach = 2 + height // 90
+    below_x, below_y = x[lowest] + reach * column, y[lowest] + reach * row
+    inside = (below_x >= 0) & (below_y >= 0) & (below_x < width) & (below_y < height)
+    found = np.zeros(len(lowest), int)
+    found[inside] = mask[below_y[inside], below_x[inside]]
+    found[found == number] = 0
+    most = int(np.bincount(found).argmax()) if len(found) else 0
+    return (most if (found == most).mean() > 0.5 else 0), np.stack([x, y], 1)[lowest]
 
 
 def _bound_below(across: np.ndarray, bounds: np.ndarray, middle: float) -> float:

@@ -12,12 +12,15 @@ from flowsplat.priors.background.ground import Ground
 from flowsplat.priors.objects.contact import Bound, upright_ratio
 from flowsplat.priors.objects.contact_cues import (
     MAX_BOUND_RANGE,
+    MAX_UNEVEN_RANGE,
     MIN_BOUNDS,
     Feet,
     contact_cue,
+    find_jumps,
     foot_offset,
     make_thrown_cue,
     settle_on_ground,
+    unevenness,
     unsurer,
 )
 from flowsplat.priors.objects.depth_trajectory import DepthTrajectory, ObjectTracks, solve_depth_trajectory
@@ -136,11 +139,16 @@ def solve_object(
     found = solve_depth_trajectory(tracks, log_billboards, feet, ground, images)
     guess = float(np.median((log_billboards - found.log_depth)[seen]))
     at_ground = feet.log_depth - found.log_depth
-    stands = contact_cue(at_ground, feet.visible, feet.frames)
+    jumps = find_jumps(at_ground, feet.visible, feet.frames)
+    # Who needs the excuse that some frames jump must stand still in all others: jumps and changes together are no contact.
+    excused = unevenness(at_ground, feet.visible, feet.frames) > MAX_UNEVEN_RANGE
+    most = MAX_BOUND_RANGE if excused else MAX_UNEVEN_RANGE
+    feet = replace(feet, visible=feet.visible & ~jumps)
+    stands = contact_cue(at_ground, feet.visible, feet.frames, most)
     if stands is not None and not found.bends:
         # What is deep, and its shadow, touches the ground before its middle: its own points tell by how much.
         touched = _at_feet(np.flatnonzero(feet.visible), found, tracks, feet, front)
-        stands = contact_cue(touched, feet.visible, feet.frames) or stands
+        stands = contact_cue(touched, feet.visible, feet.frames, most) or stands
     bounces = None
     if feet.unevenness(found.log_depth) > MAX_BOUND_RANGE:  # it may touch the ground for moments only
         bounces = _bounces(found, tracks, feet, ground, float(np.exp(guess)), front)
@@ -151,7 +159,7 @@ def solve_object(
     if stands is not None and found.motion is None:
         depth_trajectory = depth_trajectory + settle_on_ground(at_ground - stands.log_scale, feet.visible)
         guess = float(np.median((log_billboards - depth_trajectory)[seen]))
-    at_ground = at_ground[np.isfinite(at_ground) & feet.ground_seen]
+    at_ground = at_ground[np.isfinite(at_ground) & feet.ground_seen & ~jumps]
     network = None if monocular is None else monocular.cue(number, depth_trajectory)
     distance, cues = _distance(guess, found.cues, stands, bounces, at_ground, network)
     points = replace(found.points, log_depth=found.points.log_depth + distance.log_scale)

@@ -14,8 +14,9 @@ from flowsplat.priors.background.monocular_maps import Monocular, MonocularMaps
 from flowsplat.priors.background.static_depth import Background, StaticDepth, static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.objects.areas import large_objects
+from flowsplat.priors.objects.attachment import attach_parts
 from flowsplat.priors.objects.billboards import make_billboards
-from flowsplat.priors.objects.contact import Bound, compute_ground_bound, middle_of
+from flowsplat.priors.objects.contact import Bound, compute_ground_bound, find_below, middle_of
 from flowsplat.priors.objects.hints import Hint, with_hints
 from flowsplat.priors.objects.identity import has_own_numbers, identify_objects
 from flowsplat.priors.objects.monocular_cue import MonocularDistances
@@ -99,6 +100,7 @@ def find_objects(
     billboards = make_billboards(clip, background)
     middles = {number: np.full((len(frames), 2), np.nan) for number in billboards}
     bounds: dict[int, list[Bound | None]] = {number: [None] * len(frames) for number in billboards}
+    below: dict[int, list[tuple[int, np.ndarray] | None]] = {number: [None] * len(frames) for number in billboards}
     network = MonocularDistances(monocular, background) if monocular is not None and isinstance(background, Background) else None
     for k, i in enumerate(track(frames, "Contact with the ground")):
         mask, ground = scene.mask(i), grounds[int(pieces[k])]
@@ -110,8 +112,9 @@ def find_objects(
                 continue
             middles[number][k] = middle_of(inside)
             seen_here.append(number)
+            below[number][k] = find_below(mask, number, cameras[k], normal)
             if ground is not None:
-                bounds[number][k] = compute_ground_bound(inside, cameras[k], ground, static)
+                bounds[number][k] = compute_ground_bound(inside, (mask > 0) & ~inside, cameras[k], ground, static)
         if network is not None:
             network.look(k, mask, seen_here, cameras[k], normal)
     tracks = scene.tracks
@@ -146,7 +149,7 @@ def find_objects(
             network,
         )
         objects.append(obj)
-    found = SceneObjects(objects, normal, any_ground is not None)
+    found = SceneObjects(attach_parts(objects, below, cameras, normal), normal, any_ground is not None)
     return with_hints(clip, background, grounds, found, hints) if hints else found
 
 
