@@ -31,7 +31,12 @@ from flowsplat.common.process_control import (
 
 SOURCE = Path(flowsplat.__file__).parents[1]
 WAITS = "import time; print('begun', flush=True); time.sleep(60)"
-HAS_CHILD = f"import subprocess, sys; child = subprocess.Popen([sys.executable, '-c', {WAITS!r}]); print(child.pid, flush=True); child.wait()"
+HAS_CHILD = f"""
+import subprocess, sys
+child = subprocess.Popen([sys.executable, "-c", {WAITS!r}])
+print(child.pid, flush=True)
+child.wait()
+"""
 on_posix = pytest.mark.skipif(sys.platform == "win32", reason="has no signals of this kind")
 
 PLACES = {

@@ -82,9 +82,9 @@ def test_what_somebody_else_has_put_there_is_not_taken(user, monkeypatch, kind):
         there.mkdir()
         there.chmod(0o777 if kind == "open to all" else 0o700)
     if kind == "of another":
-        there = there.with_name(f"flowsplat-{os.getuid() + 1}")
-        there.mkdir()
-        monkeypatch.setattr(os, "getuid", lambda own=os.getuid(): own + 1)
+        other = os.getuid() + 1
+        there = there.rename(there.with_name(f"flowsplat-{other}"))
+        monkeypatch.setattr(os, "getuid", lambda: other)
     folder = cache_folder()
     assert folder != there
     assert folder.parent == there.parent

@@ -1,7 +1,7 @@
 """What a release has written, kept as it was: every later version reads it, or says in one line why not.
 
-``release_0_2`` is the folder of a run, and in it a model. ``python -m tests.kept NAME`` writes such a folder with the version that is
-checked out, once for a release whose files have a new form; one that is there is never written again.
+``release_0_2`` is the folder of a run, and in it a model. ``python -m tests.kept NAME`` writes such a folder with the version that
+is checked out, once for a release whose files have a new form; one that is there is never written again.
 """
 
 from __future__ import annotations

@@ -154,8 +154,8 @@ def refusal(work: Callable[[], object]) -> str | None:
 
 @pytest.mark.slow
 def test_a_file_system_that_turns_read_only_is_a_line(tiny_scene, finished, tmp_path, monkeypatch):
-    """Linux does that with a disk that fails: again and again, each time a file later than the time before. A run goes on from there
-    each time, and what it is in the end does not tell."""
+    """Linux does that with a disk that fails: again and again, each time after one more file. The run goes on from there each time,
+    and in the end nothing tells."""
     replace_file, failed, out = os.replace, 0, tmp_path / "out"
 
     def fails_after(count: int) -> Callable[[Path, Path], None]:

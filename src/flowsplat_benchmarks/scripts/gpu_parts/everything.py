@@ -137,11 +137,8 @@ class _Compiler:
         import torch
 
         os.environ.setdefault("TORCH_CUDA_ARCH_LIST", ".".join(map(str, torch.cuda.get_device_capability())))
-        command = [
-            sys.executable,
-            "-c",
-            "from flowsplat.common.process_control import give_way; give_way(15); import gsplat.cuda._backend",
-        ]
+        program = "from flowsplat.common.process_control import give_way; give_way(15); import gsplat.cuda._backend"
+        command = [sys.executable, "-c", program]
         quiet = subprocess.DEVNULL
         self._process = subprocess.Popen(command, stdout=quiet, stderr=quiet, **group_options())
 
