@@ -81,12 +81,27 @@ def keep_freed_memory() -> Iterator[None]:
         give_back_memory()
 
 
+_keeps_imported = False
+
+
+def keep_imported() -> None:
+    """From the end of the first stage on, ``give_back_memory`` no longer looks through what is there then: modules and their
+    functions, a million objects, a third of a second each time. For processes that do one thing and end: what of it is given up
+    later and refers to itself is not freed."""
+    global _keeps_imported
+    _keeps_imported = True
+
+
 def give_back_memory() -> None:
     """Give what a finished stage has freed back to the system, which the C library else keeps between what is still in use.
 
     Where there is no glibc only unreachable objects are freed.
     """
+    global _keeps_imported
     gc.collect()
+    if _keeps_imported:
+        gc.freeze()
+        _keeps_imported = False
     with contextlib.suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)
 
