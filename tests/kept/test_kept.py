@@ -57,7 +57,7 @@ def test_the_folder_is_that_of_a_finished_run(kept, capsys):
     assert "train: finished" in said
     run = flowsplat.Run(kept)
     assert len(run.model.gaussians) > 50
-    assert run.scene.num_frames == 8
+    assert run.scene.num_frames == 6
 
 
 def test_it_is_exported(kept):

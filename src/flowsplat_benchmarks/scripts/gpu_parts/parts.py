@@ -40,7 +40,7 @@ TESTS_AT_ONCE = 14
 WIDTH, HEIGHT = 854, 480
 """Pixels."""
 REHEARSED_SIZE = (32, 18)
-"""Pixels of images in a rehearsal: two tiles on two, a small part of each cut off. Triton's interpreter takes seconds for a tile."""
+"""Pixels of images in a rehearsal: two tiles on two. Triton's interpreter takes seconds for a tile."""
 REHEARSED_GAUSSIANS = 60
 TRAINING_STEPS = 200
 """Training steps that are compared."""
