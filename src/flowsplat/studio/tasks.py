@@ -60,7 +60,7 @@ RENDERINGS = {
 
 _INTERRUPTED = {
     130, 128 + signal.SIGTERM, -signal.SIGTERM, -signal.SIGINT,
-    *((128 + signal.SIGBREAK, int(signal.SIGTERM)) if sys.platform == "win32" else ()),
+    *((128 + getattr(signal, "SIGBREAK", 0), int(signal.SIGTERM)) if sys.platform == "win32" else ()),
 }  # fmt: skip
 """Exit codes of a process that was asked to stop."""
 _CUT_OFF = "It was cut off before it was done: was the computer switched off? Go on, and it continues where it was."

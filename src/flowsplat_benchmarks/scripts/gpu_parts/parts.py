@@ -39,7 +39,7 @@ TESTS_AT_ONCE = 14
 """Processes that test, at most. Chosen by eye."""
 WIDTH, HEIGHT = 854, 480
 """Pixels."""
-REHEARSED_SIZE = (32, 18)
+REHEARSED_SIZE = (32, 32)
 """Pixels of images in a rehearsal: two tiles on two. Triton's interpreter takes seconds for a tile."""
 REHEARSED_GAUSSIANS = 60
 TRAINING_STEPS = 200
