@@ -27,8 +27,9 @@ for name in ("gaussians", "training", "evaluation", "output", "pipeline", "batch
     MAY_IMPORT[name] = tuple(MAY_IMPORT)
 # What stands in for operators of gsplat: nothing of ours needs it.
 MAY_IMPORT["gsplat_ops"] = (*FIRST, "splatting")
+MAY_IMPORT["__main__"] = tuple(MAY_IMPORT)
 # ``flowsplat`` itself shows what its packages offer; commands are not for importing.
-MAY_IMPORT["__init__"] = tuple(name for name in MAY_IMPORT if name != "cli")
+MAY_IMPORT["__init__"] = tuple(name for name in MAY_IMPORT if name not in ("cli", "__main__"))
 
 
 def imported_packages(source: str, package: str) -> Iterator[tuple[int, str]]:

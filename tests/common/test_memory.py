@@ -89,3 +89,29 @@ def test_what_lies_between_what_is_in_use_is_given_back():
     by_itself, given_back = map(float, told.split())
     assert by_itself < 0.05
     assert given_back > 0.15
+
+
+KEPT = """
+import gc, weakref
+from flowsplat.common.memory import give_back_memory, keep_imported
+
+class Loop: pass
+
+give_back_memory()
+first = gc.get_freeze_count()
+keep_imported()
+give_back_memory()
+kept = gc.get_freeze_count()
+loop = Loop()
+loop.itself = loop
+seen = weakref.ref(loop)
+del loop
+give_back_memory()
+print(first, kept > 1000, gc.get_freeze_count() <= kept, seen())
+"""
+
+
+def test_what_is_imported_is_looked_through_once():
+    """And what comes later is freed as ever."""
+    told = subprocess.run([sys.executable, "-c", KEPT], check=True, capture_output=True, text=True, timeout=60).stdout
+    assert told.split() == ["0", "True", "True", "None"]

@@ -86,13 +86,20 @@ def figures(found: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
     return table
 
 
+@pytest.fixture(scope="module")
+def originals(tmp_path_factory) -> Path:
+    """One of every kind; each mutation is made of a copy."""
+    folder = tmp_path_factory.mktemp("fuzz") / "originals"
+    make_originals(folder)
+    return folder
+
+
 @pytest.mark.parametrize(("first", "count"), [(0, FEW), slow(FEW, MANY - FEW)])
-def test_spoiled_files(tmp_path, request, first, count):
+def test_spoiled_files(originals, tmp_path, request, first, count):
     wanted = request.config.getoption("--fuzz")
     if wanted:
         first, count = (0, wanted) if first else pytest.skip("all are tried at once")
-    make_originals(tmp_path / "originals")
-    found = results(tmp_path / "originals", tmp_path / "work", first, count)
+    found = results(originals, tmp_path / "work", first, count)
     whole = [each for each in found if each["number"] < 0]
     assert [each for each in whole if each["outcome"] != "read" or each["failed"]] == []
     spoiled = [each for each in found if each["number"] >= 0]

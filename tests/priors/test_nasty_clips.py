@@ -19,7 +19,7 @@ from flowsplat.geometry import Camera
 from flowsplat.geometry.similarity import path_errors
 from flowsplat.images.blank import is_blank
 from flowsplat.priors.cameras.bundle import Reconstruction
-from flowsplat.priors.cameras.keyframes import choose_keyframes, place_between
+from flowsplat.priors.cameras.keyframes import MAX_JOINT_FRAMES, choose_keyframes, place_between
 from flowsplat.priors.cameras.pieces import PIECE_DISTANCE, find_breaks, join, split
 from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.options import PriorsOptions
@@ -259,13 +259,14 @@ def test_portrait(tmp_path, room):
 
 
 @pytest.mark.slow
-def test_a_thousand_small_frames(tmp_path, room):
+def test_hundreds_of_small_frames(tmp_path, room):
+    """More than are solved for at once (``MAX_JOINT_FRAMES``): most are placed between keyframes."""
     cameras = [
         camera_at(
             (0.8 * np.sin(12 * s), 0.2 * np.sin(18 * s), 0.3 * np.sin(6 * s)),
             (0.02 * np.sin(30 * s), 0.1 * np.sin(20 * s), 0), (64, 48),
         )
-        for s in np.linspace(0, 1, 1000)
+        for s in np.linspace(0, 1, 3 * MAX_JOINT_FRAMES)
     ]  # fmt: skip
     scene = prepared(tmp_path / "s", [room.image(camera) for camera in cameras])
     assert scene.prior("cameras")["breaks"] == []

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.processes import read_start_time
+from flowsplat.common.process_control import read_start_time
 from flowsplat.studio import handlers, server, tasks, uploads
 from flowsplat.studio.options import StudioOptions
 from flowsplat.studio.project import Project

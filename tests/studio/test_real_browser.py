@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
-from flowsplat.common.processes import read_start_time
+from flowsplat.common.process_control import read_start_time
 from tests.browser import Complaints
 from tests.output.viewer.browser import free_port, heed_ctrl_c
 from tests.studio.serving import SIZE

@@ -20,7 +20,7 @@ from flowsplat.batch.records import Outcome
 from flowsplat.batch.work import Ended, Job, Running, outcome_of
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder
-from flowsplat.common.memory import free_memory, memory_of
+from flowsplat.common.memory import free_memory, keep_imported, memory_of
 from flowsplat.common.processes import end_with_parent, threads_of_new_processes, usable_cores
 from flowsplat.common.progress import describe_progress
 from flowsplat.common.stopping import signals_stop
@@ -245,6 +245,7 @@ def report_into(log: Path) -> None:
 def _serve(pipe: Connection, job: Job, fewer: bool, log: Path) -> None:
     """A process from its beginning to its end; what it says goes into ``log``."""
     end_with_parent()
+    keep_imported()
     report_into(log)
     here, over = _Here(pipe, fewer), threading.Event()
 

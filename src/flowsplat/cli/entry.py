@@ -15,6 +15,7 @@ from flowsplat.cli.command import benchmark_commands, functions_of
 from flowsplat.cli.help import message_of, short_help
 from flowsplat.common.durations import IMPORTED, command_begins
 from flowsplat.common.errors import InputError, one_line
+from flowsplat.common.memory import keep_imported
 from flowsplat.common.progress import report
 from flowsplat.common.stopping import Stopped, ignore_signals, signals_stop
 
@@ -25,6 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     command_begins(IMPORTED if whole_process else time.perf_counter())
     if whole_process:  # Our matrices are small: two threads of BLAS take twice as long for the cameras, and give other last digits.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        keep_imported()
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     # tyro spells it None.
     for k, argument in enumerate(arguments):

@@ -1,4 +1,8 @@
-"""Measure the memory that processes need, and how much there is."""
+"""Measure the memory that processes need, and how much there is.
+
+Linux says all of it (``/proc``, cgroups). macOS says the most that this process held (``getrusage``), and Windows nothing of it:
+there the tables leave memory out, and batches begin as many clips as there are cores.
+"""
 
 from __future__ import annotations
 
@@ -30,19 +34,22 @@ def begin_peak() -> None:
 
 def get_recent_peak() -> float | None:
     """Return GiB that this process needed at most since ``begin_peak``, or since it began; None where the system does not tell."""
-    try:
+    peak = read_peak_kib()
+    return None if peak is None else round(peak / 2**20, 2)
+
+
+def read_peak_kib() -> float | None:
+    """Return KiB that this process held at most since ``begin_peak``, or since it began; None where the system does not tell."""
+    with contextlib.suppress(OSError):
         # Of this program alone: what getrusage says includes the process that started it.
         found = re.search(r"VmHWM:\s*([0-9]+) kB", Path("/proc/self/status").read_text())
         if found:
-            return round(int(found.group(1)) / 2**20, 2)
-    except OSError:
-        pass
+            return float(found.group(1))
     try:
         import resource
-    except ImportError:
+    except ImportError:  # Windows
         return None
-    unit = 1 if sys.platform == "darwin" else 1024
-    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**30, 2)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024 if sys.platform == "darwin" else 1)
 
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_MMAP_MAX = -1, -3, -4
@@ -74,12 +81,27 @@ def keep_freed_memory() -> Iterator[None]:
         give_back_memory()
 
 
+_keeps_imported = False
+
+
+def keep_imported() -> None:
+    """From the end of the first stage on, ``give_back_memory`` no longer looks through what is there then: modules and their
+    functions, a million objects, a third of a second each time. For processes that do one thing and end: what of it is given up
+    later and refers to itself is not freed."""
+    global _keeps_imported
+    _keeps_imported = True
+
+
 def give_back_memory() -> None:
     """Give what a finished stage has freed back to the system, which the C library else keeps between what is still in use.
 
     Where there is no glibc only unreachable objects are freed.
     """
+    global _keeps_imported
     gc.collect()
+    if _keeps_imported:
+        gc.freeze()
+        _keeps_imported = False
     with contextlib.suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)
 

@@ -97,23 +97,3 @@ def threads_of_new_processes(count: int) -> Iterator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
-
-
-def read_start_time(process: int) -> str | None:
-    """Return when a process was started, in words of the system, so that another of its number is not taken for it; None where it
-    is dead."""
-    try:
-        status = Path(f"/proc/{process}/stat").read_text()
-        state, *rest = status.rpartition(")")[2].split()
-        return None if state in "ZX" else rest[18]  # field 22 of proc(5)
-    except OSError:
-        pass
-    if Path("/proc/self/stat").exists():
-        return None
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return None
-    except OSError:
-        pass
-    return "alive"

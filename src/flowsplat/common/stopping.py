@@ -1,4 +1,4 @@
-"""Stopping when asked to: Ctrl-C, SIGTERM, and the SIGHUP of a terminal that is closed."""
+"""Stopping when asked to: Ctrl-C, SIGTERM, and the SIGHUP of a terminal that is closed; on Windows Ctrl-C and Ctrl-Break."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
-NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+"""Of all systems. SIGTERM ends a process on Windows before it can do anything."""
 
 
 class Stopped(KeyboardInterrupt):
@@ -41,7 +42,7 @@ def _handle(handler: Callable[[int, FrameType | None], Any], names: tuple[str, .
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
         for name in names:
-            number = getattr(signal, name, None)  # Windows has no SIGHUP
+            number = getattr(signal, name, None)  # Windows has no SIGHUP, and nothing else has SIGBREAK
             if number is not None and signal.getsignal(number) != signal.SIG_IGN:
                 before[number] = signal.signal(number, handler)
     try:
@@ -67,7 +68,7 @@ def stop_requests() -> Iterator[StopRequest]:
 
 @contextlib.contextmanager
 def signals_stop() -> Iterator[None]:
-    """Inside, SIGTERM and SIGHUP raise ``Stopped`` as Ctrl-C raises ``KeyboardInterrupt``: files that are half written go away."""
+    """Inside, all but Ctrl-C raise ``Stopped``, as that raises ``KeyboardInterrupt``: files that are half written go away."""
 
     def stop(number: int, frame: FrameType | None) -> None:
         raise Stopped(number)

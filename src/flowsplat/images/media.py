@@ -17,6 +17,8 @@ from flowsplat.images.header import MAX_PIXELS
 
 _LISTS = {"hls", "dash", "concat", "concatf", "imf", "rtsp", "sdp", "image2"}
 """Formats that consist of other files."""
+_METADATA = {"metadata_errors": "replace"} if int(av.__version__.partition(".")[0]) < 19 else {}
+"""Titles that are no UTF-8 are no reason to refuse a film. PyAV 19 takes them as they come, and no longer knows the word."""
 
 
 def open_media(path: Path) -> InputContainer:
@@ -27,7 +29,7 @@ def open_media(path: Path) -> InputContainer:
         av.FFmpegError: it cannot be read.
     """
     ordinary_file(path)
-    container = av.open(f"file:{Path(path).absolute()}", options={"protocol_whitelist": "file"}, metadata_errors="replace")
+    container = av.open(f"file:{Path(path).absolute()}", options={"protocol_whitelist": "file"}, **_METADATA)
     if set(container.format.name.split(",")) & _LISTS:
         container.close()
         raise InputError(f"{path} is a list of other files: give one of these.")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -22,6 +21,7 @@ from numba.core.sigutils import normalize_signature
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_json
 from flowsplat.common.kernel_cache import kernels_folder
+from flowsplat.common.process_control import give_way
 from flowsplat.common.progress import spinner
 from flowsplat.common.source import PACKAGE, source_state
 from flowsplat.common.threads import core_left_to
@@ -156,7 +156,6 @@ def note_compiled() -> None:
 
 def main() -> None:
     """What the process does."""
-    with contextlib.suppress(AttributeError, OSError):  # not on Windows
-        os.nice(NICENESS)
+    give_way(NICENESS)
     compile_kernels()
     note_compiled()

@@ -6,7 +6,6 @@ it by its number and the time at which the system says that it began.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import shlex
 import signal
@@ -18,7 +17,7 @@ from typing import NamedTuple
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import ordinary_file
-from flowsplat.common.processes import read_start_time
+from flowsplat.common.process_control import ask_to_stop, group_options, kill_group, read_start_time
 from flowsplat.common.progress import LINES_VARIABLE
 from flowsplat.output.export.formats import EXPORTERS
 from flowsplat.studio.choices import list_arguments
@@ -59,7 +58,11 @@ RENDERINGS = {
     ),
 }  # fmt: skip
 
-_INTERRUPTED = {130, 128 + signal.SIGTERM, -signal.SIGTERM, -signal.SIGINT}
+_INTERRUPTED = {
+    130, 128 + signal.SIGTERM, -signal.SIGTERM, -signal.SIGINT,
+    *((128 + getattr(signal, "SIGBREAK", 0), int(signal.SIGTERM)) if sys.platform == "win32" else ()),
+}  # fmt: skip
+"""Exit codes of a process that was asked to stop."""
 _CUT_OFF = "It was cut off before it was done: was the computer switched off? Go on, and it continues where it was."
 
 
@@ -115,7 +118,7 @@ class Tasks:
                 log.flush()
                 process = subprocess.Popen(
                     [*PROGRAM, *words[1:]], stdin=subprocess.DEVNULL, stdout=log, stderr=log,
-                    start_new_session=True, env={**os.environ, LINES_VARIABLE: str(LINE_SECONDS), "COLUMNS": "200"},
+                    **group_options(), env={**os.environ, LINES_VARIABLE: str(LINE_SECONDS), "COLUMNS": "200"},
                 )  # fmt: skip
         except OSError as error:
             raise InputError(f"No process can be started: {error.strerror or error}.") from error
@@ -147,8 +150,7 @@ class Tasks:
         if task is None or not self.is_alive(task):
             return
         task["stopping"] = True
-        with contextlib.suppress(OSError):
-            os.kill(task["process"], signal.SIGTERM)
+        ask_to_stop(task["process"])
         project.save()
 
     def kill(self, project: Project) -> Callable[[], bool]:
@@ -156,8 +158,7 @@ class Tasks:
         task = project.task
         if task is None or not self.is_alive(task):
             return lambda: True
-        with contextlib.suppress(OSError):
-            os.killpg(task["process"], signal.SIGKILL)
+        kill_group(task["process"])
         return lambda: not self.is_alive(task)
 
     def end(self, project: Project) -> EndFile | None:

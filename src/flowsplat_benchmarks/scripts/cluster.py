@@ -13,7 +13,6 @@ import argparse
 import json
 import os
 import random
-import signal
 import subprocess
 import sys
 import time
@@ -27,6 +26,7 @@ from flowsplat.batch.records import Outcome, Records
 from flowsplat.batch.scheduler import Scheduler
 from flowsplat.batch.work import Ended, Job, Running
 from flowsplat.common.files import Claims
+from flowsplat.common.process_control import KILLED_CODES, kill_this_process
 
 MODULE = "flowsplat_benchmarks.scripts.cluster"
 """This one, which its processes run."""
@@ -65,7 +65,7 @@ class Nap:
         job, self._job = self._job, None
         self._report("dies" if self._dies else "ends", job.id)
         if self._dies:
-            os.kill(os.getpid(), signal.SIGKILL)
+            kill_this_process()
         return [Ended(job, Outcome("done", result={"verdict": "it slept"}))]
 
     def list_running(self) -> Sequence[Running]:
@@ -124,7 +124,7 @@ def simulate(
             if process.poll() is not None:
                 running.remove(process)
                 died += process.returncode != 0
-                if process.returncode not in (0, -signal.SIGKILL):
+                if process.returncode not in (0, *KILLED_CODES):
                     raise SystemExit(f"a worker ended with {process.returncode}")
         while len(running) < workers and number < workers + died:
             running.append(subprocess.Popen([*command, "--number", str(number)]))

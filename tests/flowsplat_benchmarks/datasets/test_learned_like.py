@@ -32,11 +32,11 @@ class Rig:
 
 @pytest.mark.parametrize("error", [0.0, 0.08])
 def test_depth_is_off_as_much_as_it_says(tmp_path: Path, error: float):
-    rig, frames = Rig(), range(24)
+    rig, frames = Rig(), (0, 23)
     off = []
     for seed in range(4):
         write_depth(rig, frames, tmp_path / str(seed), error, seed)
-        for i in (0, 23):
+        for i in frames:
             values = np.load(tmp_path / str(seed) / f"{i:05d}.npy").astype(np.float64)
             assert (values > 0).all()
             inner = cv2.erode((rig.mask(i) == 0).astype(np.uint8), np.ones((13, 13))) > 0
@@ -50,9 +50,10 @@ def test_depth_is_off_as_much_as_it_says(tmp_path: Path, error: float):
 
 def test_the_error_of_an_object_moves_with_it(tmp_path: Path):
     rig, error = Rig(), 0.08
-    write_depth(rig, range(24), tmp_path, error, 0)
+    frames = (2, 20)
+    write_depth(rig, frames, tmp_path, error, 0)
     ratios = []
-    for i in (2, 20):
+    for i in frames:
         values = np.load(tmp_path / f"{i:05d}.npy").astype(np.float64)
         inner = cv2.erode((rig.mask(i) > 0).astype(np.uint8), np.ones((13, 13))) > 0
         ratios.append(values[inner].reshape(48, 48) / values[inner].mean())

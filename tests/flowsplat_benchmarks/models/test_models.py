@@ -244,7 +244,7 @@ def test_rendered_scenes_also_come_with_priors_of_our_own(runs_root):
 
 
 @pytest.mark.slow
-def test_every_model_is_trained(runs_root, tmp_path):
+def test_every_model_is_trained(runs_root, tmp_path, in_this_process):
     call("models", runs_root, "-o", tmp_path, "--scenes", "tiny", "--seeds", "0", "--iterations", "24")
     values = {path.stem.split("_")[3]: json.loads(path.read_text()) for path in tmp_path.glob("models_*.json")}
     assert set(values) == {entrant.variant.name for entrant in LINEUP}

@@ -17,12 +17,13 @@ def info(path: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metava
         path: Folder of a run or a scene; without it only versions and backends are shown.
         licenses: List the license of every package that is installed because flowsplat needs it, and nothing else.
     """
-    from flowsplat.common.licenses import list_licenses
-    from flowsplat.pipeline.describe import describe
-
     if licenses:
+        from flowsplat.common.licenses import list_licenses
+
         print(*(f"{each.name} {each.version}: {each.license}" for each in list_licenses()), sep="\n")
         return
+    from flowsplat.pipeline.describe import describe
+
     print(*describe(path), sep="\n")
 
 

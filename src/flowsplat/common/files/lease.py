@@ -1,9 +1,8 @@
 """Lock what one process at a time may have: folders to write into (``lease``), and pieces of work of a list (``Claims``).
 
-``lease``: a file in the folder is locked (``flock``) as long as the process lives: the system unlocks it however the process
+``lease``: a file in the folder is locked (``locks``) as long as the process lives: the system unlocks it however the process
 ends, and over NFS for the other machines, too. So there is nothing to be renewed, and nothing of a dead holder to be cleaned away;
-what is written in the file only tells others who it is. Who reads the folder takes no notice of it. Windows has no ``flock``;
-nothing is locked there.
+what is written in the file only tells others who it is. Who reads the folder takes no notice of it.
 
 ``Claims``: for machines that share a folder, also one without locks. The right to an attempt of a piece of work is a file that only
 one of them can create; its holder touches it again and again, and where it stays untouched, the next attempt is anybody's.
@@ -25,13 +24,9 @@ from pathlib import Path
 from typing import Any
 
 from flowsplat.common.errors import InputError, InUseError
+from flowsplat.common.files.locks import NoLocksError, has_locks, is_locked, open_to_lock, remove_locked, try_lock
 from flowsplat.common.files.writing import make_folder, make_writing_error
-from flowsplat.common.processes import read_start_time
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
+from flowsplat.common.process_control import read_number_space, read_start_time
 
 NAME = ".lock"
 _MAX_HOLDER_BYTES = 1000
@@ -73,9 +68,7 @@ def lease(folder: Path) -> Iterator[None]:
             if not _held[key]:
                 del _held[key]
         if taken is not None:
-            with contextlib.suppress(OSError):
-                (folder / NAME).unlink()
-            os.close(taken)
+            remove_locked(taken, folder / NAME)
         if not was_there:
             with contextlib.suppress(OSError):
                 folder.rmdir()  # only where nothing is in it
@@ -83,53 +76,48 @@ def lease(folder: Path) -> Iterator[None]:
 
 def holder(folder: Path) -> str | None:
     """Return who has a folder, in words; None where nobody does, or another system cannot tell."""
-    if fcntl is None:
+    if not has_locks():
         return None
     try:
-        file = os.open(folder / NAME, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        file = open_to_lock(folder / NAME, create=False)
     except OSError:
         return None
     try:
         if not stat.S_ISREG(os.fstat(file).st_mode):
             return None
-        try:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except OSError:
-            return _decode_holder(os.read(file, _MAX_HOLDER_BYTES))
-        return None
+        return _decode_holder(os.read(file, _MAX_HOLDER_BYTES)) if is_locked(file) else None
     finally:
         os.close(file)
 
 
 def _take(folder: Path) -> int | None:
     """Return the locked file; None where there are no locks."""
-    if fcntl is None:
+    if not has_locks():
         return None
     path = folder / NAME
     while True:
         try:
-            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o644)
+            file = open_to_lock(path, create=True)
         except OSError as error:
             raise make_writing_error(error, path) from error
         if not stat.S_ISREG(os.fstat(file).st_mode):
             os.close(file)
             raise InputError(f"{path} is no ordinary file: remove it.")
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
+            locked = try_lock(file)
+        except NoLocksError:
+            remove_locked(file, path)
+            return None
+        if not locked:
             who = _decode_holder(os.read(file, _MAX_HOLDER_BYTES))
             os.close(file)
-            raise InUseError(f"{folder} is being written by {who}: wait for it, or stop it.") from error
-        except OSError:  # a file system without locks
-            os.close(file)
-            with contextlib.suppress(OSError):
-                path.unlink()
-            return None
+            raise InUseError(f"{folder} is being written by {who}: wait for it, or stop it.")
         with contextlib.suppress(OSError):
             if os.path.samestat(os.fstat(file), os.stat(path)):  # else its last holder has just removed it
                 value = {"host": socket.gethostname(), "process": os.getpid(), "since": time.time()}
                 os.ftruncate(file, 0)
-                os.pwrite(file, json.dumps(value).encode(), 0)
+                os.lseek(file, 0, os.SEEK_SET)
+                os.write(file, json.dumps(value).encode())
                 return file
         os.close(file)
 
@@ -307,8 +295,4 @@ class Claims:
 @cache
 def _place() -> str:
     """This machine since it was started, and, in a container, this container: where process numbers mean the same."""
-    parts = [socket.gethostname()]
-    for read in (lambda: Path("/proc/sys/kernel/random/boot_id").read_text().strip(), lambda: os.readlink("/proc/self/ns/pid")):
-        with contextlib.suppress(OSError):
-            parts.append(read())
-    return " ".join(parts)
+    return " ".join([socket.gethostname(), *read_number_space()])

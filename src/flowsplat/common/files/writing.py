@@ -17,6 +17,7 @@ import numpy as np
 
 from flowsplat.common.errors import InputError, WritingError
 from flowsplat.common.files.opening import ordinary_file
+from flowsplat.common.process_control import is_running
 
 _PARTIAL = re.compile(r"\..+\.([0-9]{1,9})\.partial(\.[^.]+)?")
 _HASHED_EDGE_BYTES = 65536
@@ -69,7 +70,7 @@ def remove_partials(folder: Path) -> list[Path]:
     deleted = []
     for path in Path(folder).rglob(".*.partial*"):
         named = _PARTIAL.fullmatch(path.name)
-        if named is None or _is_alive(int(named[1])) or path.is_symlink() or not path.is_file():
+        if named is None or _is_written(int(named[1])) or path.is_symlink() or not path.is_file():
             continue
         with contextlib.suppress(OSError):
             path.unlink()
@@ -77,17 +78,9 @@ def remove_partials(folder: Path) -> list[Path]:
     return deleted
 
 
-def _is_alive(process: int) -> bool:
+def _is_written(process: int) -> bool:
     """Return whether another process of that number lives here: it may still be writing, an export, say."""
-    if process == os.getpid():
-        return False
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        pass
-    return True
+    return process != os.getpid() and is_running(process)
 
 
 def make_writing_error(error: OSError, path: Path) -> WritingError:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from flowsplat.common.memory import read_peak_kib
 from flowsplat_benchmarks.scripts.cpu_parts.timing import interleave, use_threads
 from flowsplat_benchmarks.scripts.cpu_parts.work_load import FIELDS, work_load
 
@@ -35,18 +36,8 @@ def measure(threads: int, repeat: int, count: int = 1_000_000, width: int = 3840
 
 
 def peak_mib() -> float:
-    """Return the most memory that this process held so far.
-
-    Linux hands the maximum of ``getrusage`` down from the process that started this one, so its own high-water mark is read there.
-    """
-    try:
-        status = Path("/proc/self/status").read_text(encoding="utf-8")
-        return float(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1]) / 1024
-    except (OSError, StopIteration):
-        import resource
-
-        unit = 2**20 if sys.platform == "darwin" else 2**10
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+    """Return the most memory that this process held so far; 0 where the system does not tell."""
+    return (read_peak_kib() or 0.0) / 1024
 
 
 def main(path: str, width: int, height: int, threads: int, repeat: int) -> dict[str, Any]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -22,6 +21,7 @@ from typing import Any, TypedDict
 
 from flowsplat.common.files import make_folder, read_json, write_json
 from flowsplat.common.files.json_file import Text
+from flowsplat.common.process_control import end_group, group_options, pause_group
 from flowsplat_benchmarks.scripts.cpu_parts.machine import commit
 from flowsplat_benchmarks.scripts.cpu_parts.timing import tell
 
@@ -137,21 +137,22 @@ class _Compiler:
         import torch
 
         os.environ.setdefault("TORCH_CUDA_ARCH_LIST", ".".join(map(str, torch.cuda.get_device_capability())))
-        command = [sys.executable, "-c", "import os; os.nice(15); import gsplat.cuda._backend"]
+        program = "from flowsplat.common.process_control import give_way; give_way(15); import gsplat.cuda._backend"
+        command = [sys.executable, "-c", program]
         quiet = subprocess.DEVNULL
-        self._process = subprocess.Popen(command, stdout=quiet, stderr=quiet, start_new_session=True)
+        self._process = subprocess.Popen(command, stdout=quiet, stderr=quiet, **group_options())
 
     def go_on(self, part: GpuPart) -> None:
         """It runs beside the tests, stands still while something is timed, and ends before what it is for."""
         if self._process is not None and self._process.poll() is None:
-            os.killpg(self._process.pid, signal.SIGCONT if part.name in ("kernels", "gsplat") else signal.SIGSTOP)
+            pause_group(self._process.pid, waits=part.name not in ("kernels", "gsplat"))
 
     def __enter__(self) -> _Compiler:
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._process is not None:
-            _end(self._process)
+            end_group(self._process, GRACE_SECONDS)
 
 
 def _run(part: GpuPart, folder: Path, limit: float, scenes: Sequence[Path], rehearse: bool, broken: bool) -> dict[str, Any]:
@@ -166,13 +167,13 @@ def _run(part: GpuPart, folder: Path, limit: float, scenes: Sequence[Path], rehe
         environment |= {"TRITON_INTERPRET": "1", "CUDA_VISIBLE_DEVICES": "", "NUMBA_NUM_THREADS": "1"}
     began = time.monotonic()
     with log.open("wb") as output:
-        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, env=environment, start_new_session=True)
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, env=environment, **group_options())
         try:
             outcome = "done" if process.wait(limit) == 0 else f"failed with code {process.returncode}"
         except subprocess.TimeoutExpired:
             outcome = f"stopped: it took longer than {limit:.0f} s"
         finally:
-            _end(process)
+            end_group(process, GRACE_SECONDS)
     found = json.loads(figures.read_text(encoding="utf-8")) if figures.exists() else {}
     result: dict[str, Any] = {"outcome": outcome, "seconds": round(time.monotonic() - began, 1), "figures": found}
     if outcome != "done":
@@ -180,16 +181,3 @@ def _run(part: GpuPart, folder: Path, limit: float, scenes: Sequence[Path], rehe
         result["output"] = text.splitlines()[-SHOWN_LINES:]
         tell("\n".join(f"         | {line}" for line in result["output"]))
     return result
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a part and whatever it began; a compiler that it started may still run when it is done."""
-    for number in (signal.SIGTERM, signal.SIGKILL):
-        try:
-            os.killpg(process.pid, number)
-        except ProcessLookupError:
-            break
-        try:
-            process.wait(GRACE_SECONDS)
-        except subprocess.TimeoutExpired:
-            continue

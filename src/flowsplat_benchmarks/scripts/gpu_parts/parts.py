@@ -39,6 +39,9 @@ TESTS_AT_ONCE = 14
 """Processes that test, at most. Chosen by eye."""
 WIDTH, HEIGHT = 854, 480
 """Pixels."""
+REHEARSED_SIZE = (32, 32)
+"""Pixels of images in a rehearsal: two tiles on two. Triton's interpreter takes seconds for a tile."""
+REHEARSED_GAUSSIANS = 60
 TRAINING_STEPS = 200
 """Training steps that are compared."""
 COMPARED_STEPS = (1, 10, 50, 100, TRAINING_STEPS)
@@ -89,11 +92,11 @@ class Record:
 
     def size(self, width: int, height: int) -> tuple[int, int]:
         """Return the size of an image: a small one in a rehearsal."""
-        return (48, 27) if self.rehearse else (width, height)
+        return REHEARSED_SIZE if self.rehearse else (width, height)
 
     def count(self, count: int) -> int:
         """Return the number of Gaussians: few in a rehearsal."""
-        return min(count, 120) if self.rehearse else count
+        return min(count, REHEARSED_GAUSSIANS) if self.rehearse else count
 
     def attempt(self, name: str, job: Callable[[], Any]) -> Any:
         """Do one thing of several; where it fails, the record says how, and the others still come."""
@@ -280,7 +283,7 @@ def training(record: Record) -> None:
     small = record.rehearse
     write_synthetic(
         given,
-        StreetScene(width=64 if small else 320, height=36 if small else 180, frames=4 if small else 40),
+        StreetScene(*(REHEARSED_SIZE if small else (320, 180)), frames=4 if small else 40),
         holdout=3 if small else 10,
     )
     config = replace(
