@@ -69,7 +69,7 @@ class DetailPair:
         Returns:
             None where the target has detail in fewer than ``MIN_BLOCKS`` blocks.
         """
-        image, target, filled = self._image, self._target, np.float32(1)
+        image, target, filled = self._image, self._target, np.ones((), np.float32)
         if mask is not None:
             inside = np.ascontiguousarray(mask[::STRIDE, ::STRIDE], np.float32)
             image, target, filled = image * inside, target * inside, _average(inside)

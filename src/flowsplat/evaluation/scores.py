@@ -13,7 +13,7 @@ from flowsplat.evaluation.perceptual import PerceptualMetric
 
 Figures = dict[str, Any]
 METRICS = ("psnr", "ssim", "lpips")
-SHARPNESS = Sharpness._fields
+SHARPNESS_METRICS = Sharpness._fields
 """Of images that a model renders; what other methods predict is not asked for it."""
 
 
@@ -58,7 +58,7 @@ def _measure_sharpness(pair: DetailPair | None, mask: np.ndarray | None) -> Figu
     if pair is None:
         return {}
     found = pair.measure(mask)
-    return dict.fromkeys(SHARPNESS) if found is None else found._asdict()
+    return dict.fromkeys(SHARPNESS_METRICS) if found is None else found._asdict()
 
 
 def summarize(scores: Sequence[Figures | None], regions: Sequence[str] = ()) -> Figures | None:
@@ -67,8 +67,8 @@ def summarize(scores: Sequence[Figures | None], regions: Sequence[str] = ()) -> 
     if not measured:
         return None
     figures: Figures = {name: mean_of(score[name] for score in measured) for name in METRICS}
-    if any(name in score for score in measured for name in SHARPNESS):
-        figures |= {name: mean_of(score.get(name) for score in measured) for name in SHARPNESS}
+    if any(name in score for score in measured for name in SHARPNESS_METRICS):
+        figures |= {name: mean_of(score.get(name) for score in measured) for name in SHARPNESS_METRICS}
     figures["count"] = len(measured)
     for region in regions:
         figures[region] = summarize([score[region] for score in measured])

@@ -84,13 +84,13 @@ def describe(project: Project, standings: StandingReader, run_options: Sequence[
         found["making"] = task["what"]
     if state in ("running", "stopping", "stopped", "failed"):
         previews = [each.run.preview_path for each in project.scenes if each.run.preview_path.is_file()]
-        found["preview"] = _link(project, max(previews, key=_changed)) if previews else None
+        found["preview"] = _link(project, max(previews, key=_change_time)) if previews else None
     if _is_done(project):
         found["results"] = _describe_results(project)
     return found
 
 
-def _changed(path: Path) -> float:
+def _change_time(path: Path) -> float:
     """Return when a file was changed, 0 where it is gone."""
     try:
         return path.stat().st_mtime
