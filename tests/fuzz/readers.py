@@ -512,15 +512,17 @@ RUN_FILES = ("run.json", "metrics.json", "model/*", "scene/*.json", "scene/*.npz
 
 
 def _studio(root: Path) -> None:
-    mark = {"x": 0.5, "y": 0.25, "frame": 3, "second": 0.5}
-    task = {"what": "run", "process": 2**22 + 7, "begun": "1", "since": 1e9, "stopping": False, "expected": {"train": 9.0}}
-    choices = {**first_choices(), "objects": [{"clicks": [mark], "beside": [mark]}], "contacts": [mark], "start": 0.5, "end": 2.0}
+    mark, other = ({"x": 0.5, "y": 0.25, "frame": frame, "second": 0.5} for frame in (3, "2/3"))
+    task = {"what": "run", "process": 2**22 + 7, "begun": "1", "since": 1e9, "stopping": False, "times": [{"train": 9.0}]}
+    choices = {**first_choices(), "objects": [{"clicks": [mark], "beside": [other]}], "contacts": [mark], "start": 0.5, "end": 2.0}
     project = {
         "version": 1, "name": "walk.mp4", "made": 1e9, "choices": choices, "ran": choices, "waiting": ["export html"], "task": task,
         "end": {"what": "run", "state": "failed", "message": "It failed."},
     }  # fmt: skip
     write_json(root / "walk" / "studio.json", project)
-    (root / "walk" / "run.log").write_text("$ flowsplat run x\nOrbit: 4 degrees to either side\nTraining: 3 of 10, 2 s left\n")
+    (root / "walk" / "run.log").write_text(
+        "$ flowsplat run x\nShot 1 of 2: x\nOrbit: 4 degrees to either side\nTraining: 3 of 10, 2 s left\n"
+    )
 
 
 def _read_studio(folder: Path) -> None:

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from flowsplat.output.verdict import MAX_SURE_SIGMA, MIN_SHARP_PSNR, MIN_SOFT_PSNR, verdict, word_figures
+from flowsplat.output.verdict import (
+    MAX_SURE_SIGMA,
+    MIN_MISPLACED_CONTRAST,
+    MIN_SHARP_DETAIL,
+    MIN_SHARP_PSNR,
+    MIN_SOFT_DETAIL,
+    MIN_SOFT_PSNR,
+    verdict,
+    word_figures,
+)
 from tests.output.test_report import scores
 
 
@@ -24,6 +33,12 @@ def orbit(degrees: float, holds: bool = True) -> dict:
     return {"orbit": {"degrees": degrees, "unknown": 0.03, "holds": holds}}
 
 
+def detail(share: float, moving: float | None = None, contrast: float = 0.5) -> dict:
+    """Figures of a run that measured sharpness, whose decibels say the opposite."""
+    region = None if moving is None else {"psnr": 19.0, "ssim": 0.5, "detail": moving, "contrast": contrast}
+    return {"psnr": 22.0, "ssim": 0.8, "detail": share, "contrast": contrast, "moving": region}
+
+
 SHARP = held_out(33.0)
 
 
@@ -40,6 +55,15 @@ SHARP = held_out(33.0)
         (held_out(25.0, 33.0), "Soft along your path;"),
         ({"training_frames": scores(31.0, 0.9, None)}, "is not known: your own frames come back sharp;"),
         ({}, "No frame was held out, so how sharp it is between your frames is not known;"),
+        ({"heldout_frames": detail(MIN_SHARP_DETAIL)}, "Sharp along your path;"),
+        ({"heldout_frames": detail(MIN_SHARP_DETAIL - 0.01)}, "Soft along your path;"),
+        ({"heldout_frames": detail(MIN_SOFT_DETAIL)}, "Soft along your path;"),
+        ({"heldout_frames": detail(MIN_SOFT_DETAIL - 0.01)}, "Blurred along your path;"),
+        ({"heldout_frames": detail(0.3, contrast=MIN_MISPLACED_CONTRAST)}, "Misplaced along your path;"),
+        ({"heldout_frames": detail(0.9, 0.9)}, "Sharp along your path;"),
+        ({"heldout_frames": detail(0.9, 0.5)}, "Sharp along your path, but what moves is soft;"),
+        ({"heldout_frames": detail(0.9, 0.3, 0.8)}, "Sharp along your path, but what moves is misplaced;"),
+        ({"training_frames": detail(0.9)}, "is not known: your own frames come back sharp;"),
     ],
 )
 def test_how_sharp_it_is_along_the_path(metrics, says):
@@ -58,6 +82,14 @@ def test_how_sharp_it_is_along_the_path(metrics, says):
         (
             {"heldout_views": scores(33.0, 0.8, None), **orbit(5.0)},
             "sharp from where other cameras stood; from the side it holds for about 5 degrees.",
+        ),
+        ({"heldout_views": detail(0.8)}, "sharp from where other cameras stood."),
+        ({"heldout_views": detail(0.8, 0.5)}, "sharp from where other cameras stood, but what moves is soft."),
+        ({"heldout_views": scores(30.0, 0.9, 15.0)}, "sharp from where other cameras stood."),
+        ({"heldout_views": {**detail(0.3), "covisible": detail(0.5)}}, "soft from where other cameras stood."),
+        (
+            {"heldout_views": {**scores(26.0, 0.8, None), "covisible": scores(30.0, 0.9, None)}},
+            "soft from where other cameras stood.",
         ),
         ({"orbit": None}, "how far it holds from the side was not measured."),
     ],

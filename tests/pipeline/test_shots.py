@@ -23,8 +23,11 @@ from flowsplat.images.video import write_mp4
 from flowsplat.pipeline import run_shots
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.folder import RunFolder
-from flowsplat.pipeline.shot_list import Place, read_shots, write_places
+from flowsplat.pipeline.shot_list import Place, Shot, read_shots, write_places
+from flowsplat.pipeline.shot_places import check_shots, names_frames
+from flowsplat.pipeline.shots import config_of
 from flowsplat.priors.cameras.same_place import SamePlace
+from flowsplat.priors.options import PriorsOptions
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene
 from flowsplat.training.trainer import Trainer
@@ -266,6 +269,42 @@ def test_settings_that_name_frames_are_of_one_scene(clip, tmp_path):
 
     for name, value in (("input.holdout_frames", [3]), ("priors.mask_click", ["3,3,0"]), ("priors.given.masks", "masks")):
         assert run_shots(clip, tmp_path / "out", with_settings(RunConfig(), {name: value})) is None
+
+
+def test_places_go_to_the_shot_that_they_name():
+    """Every kind of them, in the order in which they were given."""
+    priors = PriorsOptions(
+        mask_click=("0.1,0.5@1/0", "0.2,0.5@2/3", "0.3,0.5@ 2/4=1"), mask_box=("1,2,3,4@2/0",), mask_negative=("9,9@1/2=1",),
+        contact=("0.5,0.9@2/11",), same_depth=("3,3@1/4=5,5",), flow="dis",
+    )  # fmt: skip
+    config = replace(RunConfig(), priors=priors)
+    assert not names_frames(config)
+    check_shots(priors, 2)
+    shots = [Shot(k, k - 1.0, k - 0.5, Path(f"{k:02d}")) for k in (1, 2)]
+    first, second = (config_of(shot, config) for shot in shots)
+    none = {"mask_click": (), "mask_box": (), "mask_negative": (), "contact": (), "same_depth": ()}
+    own = {"mask_click": ("0.1,0.5@0",), "mask_negative": ("9,9@2=1",), "same_depth": ("3,3@4=5,5",)}
+    assert first.priors == replace(priors, **{**none, **own})
+    own = {"mask_click": ("0.2,0.5@3", "0.3,0.5@4=1"), "mask_box": ("1,2,3,4@0",), "contact": ("0.5,0.9@11",)}
+    assert second.priors == replace(priors, **{**none, **own})
+    assert (second.input.start, second.input.end) == (1.0, 1.5)
+
+
+def test_places_of_no_shot_are_refused_before_anything_is_computed(clip, single, stopped, tmp_path, capsys):
+    out, before = tmp_path / "out", contents(stopped)
+    for source, folder, place, message in (
+        (clip, out, "0.5,0.5@3/1", "--contact 0.5,0.5@3/1: there is no shot 3; the clip has 2."),
+        (clip, out, "0.5,0.5@2/9", "Shot 2: --contact 0.5,0.5@9: frame 9 is held out"),
+        (clip, out, "0.5,0.5@2/40", "Shot 2: --contact 0.5,0.5@40: there is no frame 40"),
+        (single, out, "0.5,0.5@1/0", "names shot 1 of a clip with cuts, and this is one scene: give 0.5,0.5@0."),
+        (clip, stopped, "0.5,0.5@1", "the clip has 2 shots, so say of which one"),
+    ):
+        code, _, told = call(capsys, "run", source, "-o", folder, "--contact", place, *FAST)
+        assert code == 2
+        assert told.strip().splitlines()[-1].startswith("Error: ")
+        assert message in told
+        assert not out.exists()
+    assert contents(stopped) == before
 
 
 def test_bad_input_leaves_nothing_behind(clip, tmp_path, capsys):

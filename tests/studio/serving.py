@@ -27,7 +27,19 @@ SIZE, FRAMES, FPS = (128, 96), 12, 8.0
 
 def write_clip(path: Path, frames: int = FRAMES) -> Path:
     """A video of a textured wall along which the camera goes, and of a red square that goes the other way."""
-    rng = np.random.default_rng(0)
+    write_mp4(path, draw_shot(0, frames), FPS)
+    return path
+
+
+def write_clip_with_cut(path: Path) -> Path:
+    """Two of them, with another wall in the second, whose square is where it was at the beginning of the first."""
+    write_mp4(path, draw_shot(0) + draw_shot(1), FPS)
+    return path
+
+
+def draw_shot(seed: int, frames: int = FRAMES) -> list[np.ndarray]:
+    """Frames of one wall."""
+    rng = np.random.default_rng(seed)
     gray = rng.integers(0, 256, (SIZE[1], 3 * SIZE[0]), dtype=np.uint8)
     gray = cv2.normalize(cv2.GaussianBlur(gray, (0, 0), 1.5), None, 60, 200, cv2.NORM_MINMAX)
     wall = np.stack([gray // 2, gray, gray], -1)
@@ -37,8 +49,7 @@ def write_clip(path: Path, frames: int = FRAMES) -> Path:
         left = 20 + 2 * k
         image[40:64, left : left + 24] = (230, 20, 20)
         images.append(image)
-    write_mp4(path, images, FPS)
-    return path
+    return images
 
 
 class Page:
@@ -116,9 +127,10 @@ def serve(folder: Path, **options: Any) -> Iterator[Page]:
             server.stop()
 
 
-def mark(x: float, y: float, frame: int = 0) -> dict[str, float]:
-    """A click."""
-    return {"x": x, "y": y, "frame": frame, "second": frame / FPS}
+def mark(x: float, y: float, frame: int | str = 0) -> dict[str, float | str]:
+    """A click, in a shot of as many frames as the others where it names one (``shot/number``)."""
+    shot, _, number = str(frame).rpartition("/")
+    return {"x": x, "y": y, "frame": frame, "second": (int(number) + FRAMES * max(int(shot or 1) - 1, 0)) / FPS}
 
 
 def script(text: str) -> tuple[str, ...]:

@@ -19,7 +19,8 @@ import pytest
 from flowsplat.common.process_control import read_start_time
 from tests.browser import Complaints
 from tests.output.viewer.browser import free_port, heed_ctrl_c
-from tests.studio.serving import SIZE
+from tests.studio.serving import SIZE, serve, write_clip_with_cut
+from tests.studio.test_shots import write_shots
 
 OPTIONS = "--train.iterations 20 --render.paths input --no-refine-poses --render.width 64"
 """A scene of a minute: that it is good is no matter here."""
@@ -235,3 +236,44 @@ def test_a_scene_that_is_deleted_in_another_page_is_said_to_be_gone(chromium, tm
         other.click("#really")
         page.wait_for_selector("#scene-error:not([hidden])")
         assert page.locator("#scene-error").text_content() == "There is no such scene (any more)."
+
+
+@pytest.mark.slow
+def test_a_video_with_cuts_is_clicked_on_and_looked_at_shot_by_shot(chromium, tmp_path, finished):
+    """What is shown of shots, with runs that are there already."""
+    with serve(tmp_path / "studio") as served:
+        context = chromium.new_context(viewport=PHONE, accept_downloads=True)
+        context.add_cookies([{"name": served.cookie.partition("=")[0], "value": served.cookie.partition("=")[2],
+                              "url": f"http://127.0.0.1:{served.port}"}])  # fmt: skip
+        page = context.new_page()
+        page.goto(f"http://127.0.0.1:{served.port}/")
+        complaints = Complaints(page, ("error",))
+        offer(page, write_clip_with_cut(tmp_path / "cut.mp4"))
+        assert page.locator("#shots label").all_inner_texts()[0].startswith("Each shot a scene")
+        assert "2 scenes, and one page that plays them in turn." in page.locator("#shots").inner_text()
+        page.locator("#frame-number").evaluate("each => { each.value = each.max; each.dispatchEvent(new Event('input')); }")
+        wait(page, lambda: page.locator("#frame-at").text_content().endswith(", shot 2"))
+        wait(page, lambda: page.evaluate("document.getElementById('frame').complete"))
+        click(page, 0.5, 0.5)
+        wait(page, lambda: page.locator("#command").text_content().endswith("@2/11"))
+        page.locator("#shots input").nth(1).check()
+        wait(page, lambda: page.locator("#command").text_content().endswith("@23"))
+        assert "--shots off" in page.locator("#command").text_content()
+        page.locator("#shots input").first.check()
+        wait(page, lambda: page.locator("#command").text_content().endswith("@2/11"))
+        page.locator("#presets input[value=high]").check()
+        wait(page, lambda: "--preset high" in page.locator("#command").text_content())
+        (project,) = (path.parent for path in (tmp_path / "studio").glob("*/studio.json"))
+        write_shots(project / "run", finished)
+        page.reload()
+        page.wait_for_selector("#scenes button >> nth=1")
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "nothing sticks out"
+        wait(page, lambda: page.locator("#scenes img").nth(1).evaluate("each => each.naturalWidth") > 0)
+        page.locator("#scenes button").nth(1).click()
+        assert page.locator("#scenes button").nth(1).get_attribute("aria-pressed") == "true"
+        page.click("#videos-box summary")
+        assert "/shots/02/" in page.locator("#videos video").first.get_attribute("src")
+        page.click("#exports-box summary")
+        assert page.locator("#exports code").first.inner_text().endswith("run/shots/02 --to ply")
+        assert complaints == []
+        context.close()

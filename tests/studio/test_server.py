@@ -47,7 +47,7 @@ def test_a_clip_is_taken_shown_and_cut(page, clip):
     poster = cv2.imdecode(np.frombuffer(page.get(found["poster"]), np.uint8), cv2.IMREAD_COLOR)
     assert poster.shape == (SIZE[1], SIZE[0], 3)
     looks = page.get(f"/api/projects/{name}/look")
-    assert (looks["width"], looks["height"], looks["num_frames"]) == (*SIZE, FRAMES)
+    assert (looks["num_frames"], looks["shots"], looks["has_cuts"]) == (FRAMES, 0, False)
     assert looks["duration"] == pytest.approx(FRAMES / 8, abs=1e-3)
     numbers = [number for number, _ in looks["frames"]]
     assert len(numbers) < FRAMES, "held-out frames are none to click on"
@@ -60,7 +60,7 @@ def test_a_clip_is_taken_shown_and_cut(page, clip):
     assert (cut["num_frames"], cut["duration"]) == (7, looks["duration"])
     assert cut["frames"][0] == [0, 0.5]
     assert "--start 0.5 --end 1.25" in page.get(f"/api/projects/{name}")["command"]
-    assert "--shots off" in page.get(f"/api/projects/{name}")["command"], "the page shows one scene, whatever cuts its clip has"
+    assert "--shots" not in page.get(f"/api/projects/{name}")["command"]
     status, said, _ = page.ask("PUT", f"/api/projects/{name}/choices", {**cut["choices"], "start": 1.4, "end": 1.45})
     assert status == 400
     assert "at least two frames" in said["error"]
@@ -191,18 +191,19 @@ def test_results_are_listed_and_downloaded(tmp_path, clip, finished):
         name = finish(tmp_path / "studio", page, clip, finished)
         found = page.get(f"/api/projects/{name}")
         assert (found["state"], found["fixed"]) == ("done", True)
-        results = found["results"]
+        results, (scene,) = found["results"], found["results"]["scenes"]
         assert b"<html" in page.get(results["report"])
-        video = results["videos"][0]
+        assert (scene["shot"], scene["title"]) == ("", "")
+        video = scene["videos"][0]
         whole = page.get(video["link"])
         status, part, headers = page.ask("GET", video["link"], headers={"Range": "bytes=10-19"})
         assert (status, part) == (206, whole[10:20])
         assert headers["Content-Type"] == "video/mp4"
         saved = page.ask("GET", f"{video['link']}&download=1")[2]["Content-Disposition"]
         assert saved == f"attachment; filename*=UTF-8''{name}-{video['file']}"
-        names = [each["name"] for each in results["exports"]]
+        names = [each["name"] for each in scene["exports"]]
         assert {"html", "ply", "npz", "colmap"} <= set(names)
-        assert all(each["link"] is None for each in results["exports"])
+        assert all(each["link"] is None for each in scene["exports"])
         status, said, _ = page.ask("POST", f"/api/projects/{name}/export", {"to": "nothing"})
         assert (status, said["error"][:14]) == (400, "Unknown format")
         status, said, _ = page.ask("PUT", f"/api/projects/{name}/choices", {**found["choices"], "preset": "high"})
@@ -222,10 +223,10 @@ def test_the_video_without_what_moves_is_made_by_a_command(tmp_path, clip, finis
         run = tmp_path / "studio" / name / "run"
         metrics = json.loads((run / "metrics.json").read_text())
         write_json(run / "metrics.json", {**metrics, "objects": []})
-        assert page.get(f"/api/projects/{name}")["results"]["renderings"] == []
+        assert page.get(f"/api/projects/{name}")["results"]["scenes"][0]["renderings"] == []
         moving = {"depth": 1.0, "sigma": 0.1, "largest_step": 0.1, "cues": []}
         write_json(run / "metrics.json", {**metrics, "objects": [moving]})
-        first, second = page.get(f"/api/projects/{name}")["results"]["renderings"]
+        first, second = page.get(f"/api/projects/{name}")["results"]["scenes"][0]["renderings"]
         assert first["command"].endswith("--render.paths input --render.parts background")
         assert page.ask("POST", f"/api/projects/{name}/render", {"to": "nothing"})[0] == 400
         assert page.ask("POST", f"/api/projects/{draft}/render", {"to": "background"})[0] == 400, "there is no scene yet"
@@ -235,7 +236,7 @@ def test_the_video_without_what_moves_is_made_by_a_command(tmp_path, clip, finis
         files = json.loads((run / "renders" / "renders.json").read_text())
         made = {"key": "x", "fps": 8.0, "frames": 1, "files": ["input_path_background.mp4"]}
         write_json(run / "renders" / "renders.json", {**files, "input_path_background": made})
-        assert page.get(f"/api/projects/{name}")["results"]["renderings"] == [second]
+        assert page.get(f"/api/projects/{name}")["results"]["scenes"][0]["renderings"] == [second]
 
 
 def test_an_export_that_is_a_folder_is_packed(tmp_path, clip, finished):
@@ -244,7 +245,7 @@ def test_an_export_that_is_a_folder_is_packed(tmp_path, clip, finished):
         assert page.ask("GET", f"/pack/{name}/colmap")[0] == 400
         page.do("POST", f"/api/projects/{name}/export", {"to": "colmap"})
         ready = page.wait(name, lambda each: not each["making"] and not each["waiting"], 120)
-        (link,) = (each["link"] for each in ready["results"]["exports"] if each["name"] == "colmap")
+        (link,) = (each["link"] for each in ready["results"]["scenes"][0]["exports"] if each["name"] == "colmap")
         status, _, headers = page.ask("GET", link)
         assert status == 302
         names = zipfile.ZipFile(io.BytesIO(page.get(headers["Location"]))).namelist()

@@ -3,8 +3,8 @@
 
 The keys of ``metrics.json``. Every number is finite; what could not be measured is null:
 
-- ``heldout_frames``: ``psnr``, ``ssim``, ``lpips`` (means over the images), ``count``, and the same in ``moving``,
-  inside the given masks or, where there are none, the true ones.
+- ``heldout_frames``: ``psnr``, ``ssim``, ``lpips``, ``detail``, ``contrast`` (means over the images), ``count``, and the same in
+  ``moving``, inside the given masks or, where there are none, the true ones. Runs of earlier versions have no ``detail``.
 - ``heldout_frames_refined``: the same figures with the pose of every held-out frame refined on its own image. Never the
   headline; null where that was not asked for. In ``per_image`` they are each image's ``refined``.
 - ``heldout_views``: as ``heldout_frames``, and in ``covisible``, the pixels that the clip saw.
@@ -166,7 +166,7 @@ class _Evaluator:
         if self._refine is not None:
             seconds = float(scene.timestamps[i])
             image = _finite(self._model.render(self._refine(camera, seconds, target), seconds)).color
-            figures["refined"] = score_image(image, target, regions, self._lpips, self._overlay)
+            figures["refined"] = score_image(image, target, regions, self._lpips, self._overlay, with_sharpness=True)
         return figures
 
     def score_heldout_view(self, view: HeldoutView) -> Figures:
@@ -184,7 +184,8 @@ class _Evaluator:
     def score_training_frame(self, i: int, rendering: Rendering) -> Figures:
         """Score a training frame that was rendered already."""
         target = to_float(self._scene.frame(i))
-        figures = score_image(rendering.color, target, {"moving": read_object_mask(self._scene, i)}, self._lpips, self._overlay)
+        regions = {"moving": read_object_mask(self._scene, i)}
+        figures = score_image(rendering.color, target, regions, self._lpips, self._overlay, with_sharpness=True)
         return {"kind": "training_frame", "name": f"{i:05d}", "frame": i, **figures, "baselines": {}}
 
     def render_with_flow(self, i: int, j: int | None) -> Rendering:
@@ -212,7 +213,8 @@ class _Evaluator:
         scores = {
             name: score_image(predicted, target, regions, self._lpips, self._overlay) for name, predicted in predictions.items()
         }
-        return {**what, **score_image(image, target, regions, self._lpips, self._overlay), "baselines": scores}
+        own = score_image(image, target, regions, self._lpips, self._overlay, with_sharpness=True)
+        return {**what, **own, "baselines": scores}
 
     def _write(self, folder: Path, name: str, image: np.ndarray, target: np.ndarray) -> None:
         write_image(folder / f"{name}.png", float_to_bytes(image))

@@ -10,8 +10,15 @@ from flowsplat.evaluation.scores import pick
 from flowsplat.output.videos.amplitudes import MAX_OBJECT_ERROR, SWING_ANGLES
 from flowsplat.priors.objects.description import sureness
 
+MIN_SHARP_DETAIL, MIN_SOFT_DETAIL = 0.747, 0.405
+"""Share of the fine detail (``evaluation.detail``) from which images are called sharp, and soft; below they are blurred. The
+medians of what 42 frames of seven clips (DAVIS bear, camel, train; rigs garden, market, street, workshop) keep, blurred by one and
+by two pixels."""
+MIN_MISPLACED_CONTRAST = 0.765
+"""Share of the contrast of fine detail from which images that reproduce too little of it to be soft are misplaced and not
+blurred: the median of what the same frames keep, blurred by one pixel."""
 MIN_SHARP_PSNR, MIN_SOFT_PSNR = 28.6, 24.4
-"""Decibels from which images are called sharp, and soft; below they are called blurred. The medians of what the middle frames of
+"""The same in decibels, for runs that were measured before there was a figure of detail. The medians of what the middle frames of
 six DAVIS clips (bear, camel, dance-twirl, lady-running, lucia, train; 854x480) have, blurred by one and by two pixels."""
 MAX_SURE_SIGMA = MAX_OBJECT_ERROR / math.radians(SWING_ANGLES[0])
 """Standard deviation of the logarithm of an object's distance up to which it is no guess: with a focal length as long as the image
@@ -21,18 +28,33 @@ _MAX_NAMED_OBJECTS = 3
 _EVEN_DECIBELS = 0.1
 """Decibels of PSNR that are not visible. Chosen by eye."""
 
-_SHARPNESS_GRADES = ("sharp", "soft", "blurred")
-"""From the best to the worst."""
+_BADNESS = {"sharp": 0, "soft": 1, "blurred": 2, "misplaced": 2}
+"""Of the grades of ``grade_sharpness``."""
 
 
-def grade_sharpness(psnr: float) -> str:
-    """Return ``sharp``, ``soft`` or ``blurred`` for a PSNR in decibels.
+def grade_sharpness(figures: Mapping[str, Any] | None) -> str | None:
+    """Return how sharp images are: ``sharp``, ``soft``, ``blurred``, or ``misplaced``, with fine detail that is not the true one.
+
+    Args:
+        figures: of some images or a region of them, as ``metrics.json`` has them.
+
+    Returns:
+        None where nothing was measured.
 
     Examples:
-        >>> grade_sharpness(35.2), grade_sharpness(26.0), grade_sharpness(19.0)
-        ('sharp', 'soft', 'blurred')
+        >>> grade_sharpness({"psnr": 24.0, "detail": 0.8, "contrast": 0.9}), grade_sharpness({"psnr": 35.2})
+        ('sharp', 'sharp')
+        >>> grade_sharpness({"detail": 0.3, "contrast": 0.4}), grade_sharpness({"detail": 0.3, "contrast": 0.9})
+        ('blurred', 'misplaced')
     """
-    return _SHARPNESS_GRADES[(psnr < MIN_SHARP_PSNR) + (psnr < MIN_SOFT_PSNR)]
+    detail, psnr = pick(figures or {}, "detail"), pick(figures or {}, "psnr")
+    if detail is not None:
+        if detail >= MIN_SOFT_DETAIL:
+            return "sharp" if detail >= MIN_SHARP_DETAIL else "soft"
+        return "misplaced" if (pick(figures or {}, "contrast") or 0.0) >= MIN_MISPLACED_CONTRAST else "blurred"
+    if psnr is None:
+        return None
+    return "sharp" if psnr >= MIN_SHARP_PSNR else "soft" if psnr >= MIN_SOFT_PSNR else "blurred"
 
 
 def verdict(metrics: Mapping[str, Any]) -> str:
@@ -51,20 +73,26 @@ def verdict(metrics: Mapping[str, Any]) -> str:
 
 
 def _word_path(metrics: Mapping[str, Any]) -> str:
-    whole, moving = pick(metrics, "heldout_frames", "psnr"), pick(metrics, "heldout_frames", "moving", "psnr")
-    if whole is None:
-        training = pick(metrics, "training_frames", "psnr")
-        known = "" if training is None else f": your own frames come back {grade_sharpness(training)}"
+    grade = grade_sharpness(metrics.get("heldout_frames"))
+    if grade is None:
+        training = grade_sharpness(metrics.get("training_frames"))
+        known = "" if training is None else f": your own frames come back {training}"
         return f"no frame was held out, so how sharp it is between your frames is not known{known}"
-    grade = grade_sharpness(whole)
-    inside = grade if moving is None else grade_sharpness(moving)
-    but = f", but what moves is {inside}" if _SHARPNESS_GRADES.index(inside) > _SHARPNESS_GRADES.index(grade) else ""
-    return f"{grade} along your path{but}"
+    return f"{grade} along your path{_word_moving(grade, pick(metrics, 'heldout_frames', 'moving'))}"
+
+
+def _word_moving(grade: str, figures: Mapping[str, Any] | None) -> str:
+    """Return what is said of what moves where it is worse than all."""
+    inside = grade_sharpness(figures) or grade
+    return f", but what moves is {inside}" if _BADNESS[inside] > _BADNESS[grade] else ""
 
 
 def _word_side(metrics: Mapping[str, Any]) -> str:
-    views, orbit = pick(metrics, "heldout_views", "psnr"), metrics.get("orbit")
-    parts = [] if views is None else [f"{grade_sharpness(views)} from where other cameras stood"]
+    # What the clip never saw is missing, and neither sharp nor blurred.
+    orbit, seen, moving = metrics.get("orbit"), *(pick(metrics, "heldout_views", name) for name in ("covisible", "moving"))
+    views = grade_sharpness(seen if pick(seen or {}, "detail") is not None else metrics.get("heldout_views"))
+    but = "" if views is None or pick(moving or {}, "detail") is None else _word_moving(views, moving)
+    parts = [] if views is None else [f"{views} from where other cameras stood{but}"]
     if orbit is None:
         return parts[0] if parts else "how far it holds from the side was not measured"
     degrees = orbit["degrees"]

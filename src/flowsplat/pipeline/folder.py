@@ -75,6 +75,8 @@ class AreaScores(TypedDict):
     psnr: Number | None
     ssim: Number | None
     lpips: NotRequired[Number | None]
+    detail: NotRequired[Number | None]
+    contrast: NotRequired[Number | None]
     count: NotRequired[Count | None]
 
 

@@ -31,11 +31,11 @@ from flowsplat.output.videos.shown import choose_video
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import stage_key
 from flowsplat.pipeline.shot_list import VERSION, Place, Shot, ShotList, ShotsFile, read_shots, write_places
+from flowsplat.pipeline.shot_places import check_places_of_shot, check_shots, names_frames, take_places
 from flowsplat.pipeline.speed import STAGES, Speed, estimate_seconds_of_clip
 from flowsplat.pipeline.stages import load, read_metrics, run
 from flowsplat.priors.cameras.same_place import find_same_place
 from flowsplat.priors.cameras.shots import MIN_SHOT_FRAMES, Piece, Transition, find_pieces, find_transitions
-from flowsplat.priors.options import names_places
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import MAX_FRAMES, Clip, InputOptions
 from flowsplat.scenes.ingest import fingerprint, kind_of_input, open_clip
@@ -51,13 +51,13 @@ def run_shots(source: Path, out: Path, config: RunConfig, shots: Shots = "split"
     """Run every shot of a clip with cuts, as ``run`` does a clip. Called again, it continues.
 
     Cuts are looked for in videos and folders of images, unless ``out`` holds a run already or the settings name frames of the whole
-    clip (held-out frames, places, given files, a camera file).
+    clip (held-out frames, places without a shot, given files, a camera file). Places that name a shot are given to its run.
 
     Returns:
         the content of ``metrics.json`` by the name of each shot; None where the clip is to be one scene: then nothing was done.
 
     Raises:
-        InputError: as ``run``; or the folder holds the shots of another input.
+        InputError: as ``run``; or the folder holds the shots of another input; or a place is of none of them.
     """
     held = read_shots(out)
     if shots == "off" and held is not None:
@@ -82,6 +82,9 @@ def run_shots(source: Path, out: Path, config: RunConfig, shots: Shots = "split"
                 report(found)
             return None
         new = found
+    spans = [(shot.start, shot.end) for shot in held.shots] if held is not None else []
+    _check_places(source, config, spans if new is None else new.spans)
+    if new is not None:
         _report_estimate(source, new, config)
     with lease(out):
         if new is not None:
@@ -117,7 +120,7 @@ def _run_all(source: Path, out: Path, config: RunConfig) -> dict[str, dict[str, 
     metrics: dict[str, dict[str, Any]] = {}
     for shot in listed.shots:
         report(f"Shot {shot.number} of {len(listed.shots)}: {shot.start:.2f} to {shot.end:.2f} s, in {shot.path}")
-        metrics[shot.path.name] = run(source, shot.path, replace(config, input=input_of(shot, config.input)))
+        metrics[shot.path.name] = run(source, shot.path, config_of(shot, config))
         _write_report(out, source, listed)
     if listed.places is None and len(listed.shots) > 1:
         write_places(out, _find_places(listed.shots))
@@ -148,15 +151,21 @@ def _write_report(out: Path, source: Path, listed: ShotList) -> None:
     write_shots_report(RunPaths(out).report_path, source.stem if source.is_file() else source.name, pages, listed.remarks)
 
 
-def input_of(shot: Shot, options: InputOptions) -> InputOptions:
-    """Return what to take of the input for a shot."""
-    return replace(options, start=shot.start, end=shot.end)
+def config_of(shot: Shot, config: RunConfig) -> RunConfig:
+    """Return the settings of the run of a shot: what it takes of the input, and the places on its frames."""
+    own = input_of((shot.start, shot.end), config.input)
+    return replace(config, input=own, priors=take_places(config.priors, shot.number))
 
 
-def names_frames(config: RunConfig) -> bool:
-    """Return whether settings are of frames or places of the whole clip, which those of a shot are not."""
-    priors = config.priors
-    return bool(config.input.holdout_frames or priors.given.named or names_places(priors) or config.render.camera_file)
+def input_of(span: tuple[float, float], options: InputOptions) -> InputOptions:
+    """Return what to take of the input for a shot from one second to another."""
+    return replace(options, start=span[0], end=span[1])
+
+
+def _check_places(source: Path, config: RunConfig, spans: Sequence[tuple[float, float]]) -> None:
+    check_shots(config.priors, len(spans))
+    for number, span in enumerate(spans, 1):
+        check_places_of_shot(source, input_of(span, config.input), config.priors, number)
 
 
 def word_next_steps(out: Path) -> Iterator[str]:
@@ -255,7 +264,7 @@ def _span(piece: Piece, at: np.ndarray) -> tuple[float, float]:
 def _has_frames(source: Path, options: InputOptions, span: tuple[float, float]) -> bool:
     """Return whether enough frames of a shot are used: repeats of a change of the frame rate are not."""
     try:
-        return open_clip(source, replace(options, start=span[0], end=span[1])).num_frames >= MIN_SHOT_FRAMES
+        return open_clip(source, input_of(span, options)).num_frames >= MIN_SHOT_FRAMES
     except InputError:
         return False
 
@@ -288,8 +297,8 @@ def _report_estimate(source: Path, found: FoundShots, config: RunConfig) -> None
     for note in found.notes:
         report(note)
     total = dict.fromkeys(STAGES, 0.0)
-    for start, end in found.spans:
-        options = replace(config.input, start=start, end=end)
+    for span in found.spans:
+        options = input_of(span, config.input)
         clip = open_clip(source, replace(options, keep_all=True))
         for stage, seconds in estimate_seconds_of_clip(clip, replace(config, input=options)).items():
             total[stage] += seconds

@@ -127,8 +127,7 @@ def list_steps(out: Path, source: str, metrics: Mapping[str, Any], config: RunCo
     if pick(metrics, "gaussians", "objects"):
         words = "See it without what moves, along your own path:"
         yield Step(words, _command("render", out, "--render.paths", "input", "--render.parts", "background"))
-    psnr = pick(metrics, "heldout_frames", "psnr")
-    if psnr is not None and grade_sharpness(psnr) != "sharp" and config.train != preset("high").train:
+    if grade_sharpness(metrics.get("heldout_frames")) not in (None, "sharp") and config.train != preset("high").train:
         words = (
             "Make it sharper, in about ten times the training time of the default (docs/tutorial.md, “If it looks bad”, has more):"
         )

@@ -28,7 +28,7 @@ class PriorsOptions:
     mask_click: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A moving object: x,y@frame, in pixels of the prepared frames or as shares of the image (0.5,0.4@0). Repeat it for more.
     With the number of an object behind it (x,y@frame=1) it corrects that one, on another frame, say: they count from 1, boxes
-    first."""
+    first. Of a clip with cuts x,y@shot/frame is on a frame of one shot (0.5,0.4@2/7), whose objects are counted; so with all."""
     mask_box: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A box round a moving object: x0,y0,x1,y1@frame. A click inside it on the same frame belongs to it."""
     mask_negative: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()

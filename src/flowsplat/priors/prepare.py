@@ -16,7 +16,7 @@ from flowsplat.priors.learned.networks import describe_choice, describe_time, fi
 from flowsplat.priors.objects.hints import Hint, parse_hints
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.priors.prior import Prior, PriorRequest, Stage
-from flowsplat.priors.prompts import Prompt, parse_prompts, show_at_once
+from flowsplat.priors.prompts import FrameNumbers, Prompt, parse_prompts, show_at_once
 from flowsplat.scenes import Scene
 
 
@@ -152,7 +152,7 @@ def _compute(
             after(prior.name, seconds[prior.name])
 
 
-def check_places(scene: Scene, options: PriorsOptions) -> tuple[list[Prompt], list[Hint]]:
+def check_places(scene: FrameNumbers, options: PriorsOptions) -> tuple[list[Prompt], list[Hint]]:
     """Clicks and boxes, and what is said of objects' distances.
 
     Raises:

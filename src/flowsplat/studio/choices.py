@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 import tyro
 from msgspec import Meta
-from typing_extensions import TypedDict
+from typing_extensions import NotRequired, TypedDict
 
 from flowsplat.common.errors import InputError
 from flowsplat.pipeline.config import RunConfig, check, preset
@@ -24,13 +24,17 @@ Share = Annotated[float, Meta(ge=0, le=1)]
 Second = Annotated[float, Meta(ge=0, le=1e6)]
 
 
+Frame = Annotated[int, Meta(ge=0, le=99_999)] | Annotated[str, Meta(pattern=r"^[1-9][0-9]{0,3}/(0|[1-9][0-9]{0,4})\Z")]
+"""What stands behind the @ of a place: the number of a frame among those that are used, or ``shot/number`` of a clip with cuts."""
+
+
 class Mark(TypedDict):
-    """A place on a frame: shares of width and height, the number of the frame among those that are used, and its second in the
-    whole clip, which stays when the cut changes."""
+    """A place on a frame: shares of width and height, the frame, and its second in the whole clip, which stays when the cut
+    changes."""
 
     x: Share
     y: Share
-    frame: Annotated[int, Meta(ge=0, le=99_999)]
+    frame: Frame
     second: Second
 
 
@@ -42,18 +46,20 @@ class MarkedObject(TypedDict):
 
 
 class Choices(TypedDict):
-    """All that is chosen."""
+    """All that is chosen. ``shots``: whether each shot of a clip with cuts becomes a scene; what was chosen before there was this
+    choice has none."""
 
     start: Second | None
     end: Second | None
     preset: Literal["fast", "default", "high", "paper"]
     objects: Annotated[list[MarkedObject], Meta(max_length=50)]
     contacts: Annotated[list[Mark], Meta(max_length=50)]
+    shots: NotRequired[Literal["split", "off"]]
 
 
 def first_choices() -> Choices:
     """Return what is chosen before anything is: the whole clip, a quick try."""
-    return {"start": None, "end": None, "preset": "fast", "objects": [], "contacts": []}
+    return {"start": None, "end": None, "preset": "fast", "objects": [], "contacts": [], "shots": "split"}
 
 
 def read_choices(value: Any) -> Choices:
@@ -66,7 +72,7 @@ def read_choices(value: Any) -> Choices:
         msgspec.convert(value, Choices)
     except msgspec.ValidationError as error:
         raise InputError(f"The page asks for what cannot be: {error}.") from error
-    found: Choices = {name: value[name] for name in Choices.__annotations__}  # type: ignore[assignment]
+    found: Choices = {name: value[name] for name in Choices.__annotations__ if name in value}  # type: ignore[assignment]
     if found["end"] is not None and found["end"] <= (found["start"] or 0):
         raise InputError("The end of the cut must come after its start.")
     return found
@@ -87,22 +93,67 @@ def list_cut(choices: Choices, preset: str | None = None) -> list[str]:
 
 
 def list_places(choices: Choices) -> list[str]:
-    """Return those of what moves and of where it touches the ground. Objects without a click on them say nothing."""
+    """Return those of what moves and of where it touches the ground. Each shot counts its objects;
+    those without a click on them there say nothing."""
+    marks = [mark for each in choices["objects"] for mark in (*each["clicks"], *each["beside"])] + choices["contacts"]
+    shots = sorted({shot_of(mark) for mark in marks})
+    return [word for shot in shots for word in _list_places_of_shot(choices, shot)]
+
+
+def _list_places_of_shot(choices: Choices, shot: int) -> list[str]:
     arguments: list[str] = []
     number = 0
     for each in choices["objects"]:
-        if not each["clicks"]:
+        clicks = [mark for mark in each["clicks"] if shot_of(mark) == shot]
+        if not clicks:
             continue
         number += 1
-        first, *others = each["clicks"]
+        first, *others = clicks
         arguments += ["--mask-click", _place(first)]
         for mark in others:
             arguments += ["--mask-click", f"{_place(mark)}={number}"]
         for mark in each["beside"]:
-            arguments += ["--mask-negative", f"{_place(mark)}={number}"]
+            if shot_of(mark) == shot:
+                arguments += ["--mask-negative", f"{_place(mark)}={number}"]
     for mark in choices["contacts"]:
-        arguments += ["--contact", _place(mark)]
+        if shot_of(mark) == shot:
+            arguments += ["--contact", _place(mark)]
     return arguments
+
+
+def shot_of(mark: Mark) -> int:
+    """Return the number of the shot that a place is in, 0 in a clip that is one scene."""
+    return split_frame(mark["frame"])[0]
+
+
+def split_frame(frame: int | str) -> tuple[int, int]:
+    """Return the shot (0: the clip is one scene) and the number in it of a frame.
+
+    Examples:
+        >>> split_frame("2/7"), split_frame(7)
+        ((2, 7), (0, 7))
+    """
+    shot, _, number = str(frame).rpartition("/")
+    return int(shot or 0), int(number)
+
+
+def name_frame(shot: int, number: int) -> int | str:
+    """Return what stands behind the @ of a place: the opposite of ``split_frame``."""
+    return f"{shot}/{number}" if shot else number
+
+
+def list_idle_marks(choices: Choices) -> list[str]:
+    """Return, in sentences, which places say nothing: those that are not an object, in a shot without a click on it."""
+    found = []
+    for number, each in enumerate(choices["objects"], 1):
+        shown = {shot_of(mark) for mark in each["clicks"]}
+        idle = sorted({shot_of(mark) for mark in each["beside"]} - shown)
+        found += [
+            f"What is not object {number} in shot {shot} says nothing: click on the object itself there, too."
+            for shot in idle
+            if shot
+        ]
+    return found
 
 
 def list_arguments(choices: Choices, run_options: Sequence[str] = ()) -> list[str]:
@@ -158,11 +209,11 @@ def _read_config(arguments: tuple[str, ...]) -> RunConfig:
     return config
 
 
-def keep_marks(choices: Choices, seconds: Mapping[int, float], tolerance: float) -> tuple[Choices, int]:
+def keep_marks(choices: Choices, seconds: Mapping[int | str, float], tolerance: float) -> tuple[Choices, int]:
     """Return choices whose places are on the frames that another cut has, and how many had to go.
 
     Args:
-        seconds: of the frames that places may be given on, by their numbers.
+        seconds: of the frames that places may be given on, by what stands behind the @ of a place.
         tolerance: seconds that count as the same moment.
     """
     lost = 0

@@ -23,8 +23,18 @@ from flowsplat.common.errors import InputError, one_line
 from flowsplat.images.colors import object_color
 from flowsplat.images.html import encode
 from flowsplat.output.viewer.guard import Guard
-from flowsplat.studio.choices import LARGE, PRESETS, Choices, first_choices, list_cut, read_choices, read_config
-from flowsplat.studio.clips import FRAME_QUALITY, Looks, OpenClip, check_clip, draw_masks, look
+from flowsplat.studio.choices import (
+    LARGE,
+    PRESETS,
+    Choices,
+    first_choices,
+    list_cut,
+    name_frame,
+    read_choices,
+    read_config,
+    split_frame,
+)
+from flowsplat.studio.clips import FRAME_QUALITY, CutClip, Looks, OpenClip, check_clip, draw_masks, look
 from flowsplat.studio.project import Project
 from flowsplat.studio.results import SERVED, pack_folder
 from flowsplat.studio.studio import Studio, delete
@@ -55,6 +65,11 @@ _FILE_POLICY = "sandbox; default-src 'none'; img-src 'self'; media-src 'self'; s
 
 _VIDEO_TYPES = {".mp4": "video/mp4", ".m4v": "video/mp4", ".mov": "video/mp4", ".webm": "video/webm", ".mkv": "video/x-matroska"}
 """QuickTime's files are those of MP4 in another coat, and browsers play them under that name."""
+
+
+def read_frame(text: str) -> int | str:
+    """Return the frame that an address names, as marks name it."""
+    return name_frame(*split_frame(text))
 
 
 def shorten(text: str) -> str:
@@ -276,10 +291,18 @@ class ClipReader(Handler):
         except InputError as error:
             raise InputError(str(error).replace(str(project.clip), project.name)) from error
 
+    async def open_cut(self, project: Project) -> CutClip:
+        """Return it in its shots, where each becomes a scene."""
+        choices = project.choices
+        await self.open(project, choices)  # which words what is wrong with it
+        config = read_config([*self.studio.run_options, *list_cut(choices, LARGE)])
+        shots = project.shots
+        spans = None if not project.is_cut_fixed else [(shot.start, shot.end) for shot in shots or ()]
+        return await self.aside(self.studio.clips.cut, project.clip, config, choices.get("shots") != "off", spans)
+
     async def look(self, project: Project) -> Looks:
         """Return what there is to know before a run."""
-        choices = project.choices
-        return await self.aside(look, await self.open(project, choices), choices, self.studio.run_options)
+        return await self.aside(look, await self.open_cut(project), project.choices, self.studio.run_options)
 
 
 class ChoicesHandler(ClipReader):
@@ -303,8 +326,8 @@ class LookHandler(ClipReader):
         looks = await self.look(project)
         lost = self.studio.fit_marks(project, dict(looks.frames))
         self.answer({
-            "frames": looks.frames, "width": looks.width, "height": looks.height,
-            "num_frames": looks.num_frames, "duration": looks.duration, "notes": looks.notes, "lost": lost,
+            "frames": looks.frames, "shots": looks.shots, "has_cuts": looks.has_cuts, "num_frames": looks.num_frames,
+            "duration": looks.duration, "notes": looks.notes, "lost": lost,
             "choices": project.choices,
             "colors": [f"#{bytes(object_color(number)).hex()}" for number in range(1, COLORS + 1)],
             "estimates": {preset: {"says": str(looks.estimates[preset]), "seconds": looks.estimates[preset].expected}
@@ -318,8 +341,8 @@ class FrameHandler(ClipReader):
     async def get(self, name: str, number: str) -> None:
         """Send it as JPEG."""
         project = self.studio.project(name)
-        opened = await self.open(project, project.choices)
-        image = await self.aside(opened.frame, int(number))
+        opened = await self.open_cut(project)
+        image = await self.aside(opened.frame, read_frame(number))
         self.set_header("Content-Type", "image/jpeg")
         self.finish(await self.aside(encode, image, FRAME_QUALITY))
 
@@ -331,9 +354,9 @@ class MasksHandler(ClipReader):
         """Send colors on nothing, and how much of the image each object is."""
         project = self.studio.project(name)
         choices = project.choices
-        opened = await self.open(project, choices)
+        opened = await self.open_cut(project)
         options = read_config([*self.studio.run_options, *list_cut(choices)]).input
-        image, shares = await self.aside(draw_masks, opened, options, choices, int(number))
+        image, shares = await self.aside(draw_masks, opened, options, choices, read_frame(number))
         self.answer({"image": f"data:image/png;base64,{base64.b64encode(image).decode()}", "shares": shares})
 
 
@@ -354,8 +377,8 @@ class ActionHandler(ClipReader):
             project = self.studio.copy(project)
         else:
             value = self.body()
-            wanted = str(value.get("to")) if isinstance(value, dict) else ""
-            (self.studio.ask_export if action == "export" else self.studio.ask_render)(project, wanted)
+            wanted, shot = (str(value.get(name) or "") if isinstance(value, dict) else "" for name in ("to", "shot"))
+            (self.studio.ask_export if action == "export" else self.studio.ask_render)(project, wanted, shot)
         self.studio.advance()
         self.answer(self.studio.describe(project))
 
@@ -403,17 +426,19 @@ class FileHandler(Handler, web.StaticFileHandler):
             self.set_header("Content-Security-Policy", _PLAYER_POLICY if "/export/" in path else _REPORT_POLICY)
             self.set_header("X-Frame-Options", "SAMEORIGIN")
         if self.get_query_argument("download", None) is not None or path.startswith("downloads/"):
-            project = Path(self.root).name
-            self.set_header("Content-Disposition", f"attachment; filename*=UTF-8''{quote(f'{project}-{Path(path).name}')}")
+            served = SERVED.fullmatch(path)
+            names = [Path(self.root).name, served["shot"] if served is not None else None, Path(path).name]
+            name = "-".join(each for each in names if each)
+            self.set_header("Content-Disposition", f"attachment; filename*=UTF-8''{quote(name)}")
 
 
 class PackHandler(Handler):
     """An export that is a folder."""
 
-    async def get(self, name: str, to: str) -> None:
+    async def get(self, name: str, to: str, shot: str | None) -> None:
         """Pack it, and lead to the packed file."""
         project = self.studio.project(name)
-        packed = await self.aside(pack_folder, project, to)
+        packed = await self.aside(pack_folder, project, to, shot or "")
         self.redirect(f"/files/{project.id}/downloads/{quote(packed.name)}?v={packed.stat().st_mtime_ns:x}")
 
 
@@ -428,6 +453,7 @@ class NothingHandler(Handler):
 
 
 _ID = r"([a-z0-9][a-z0-9-]{0,62})"
+_FRAME = r"((?:[1-9][0-9]{0,3}/)?[0-9]{1,5})"
 PAGE_FILES = sorted(path.name for path in ASSETS.iterdir() if path.suffix in (".css", ".js") or path.name == SHEET)
 """What the start page needs, and the sheet on filming."""
 ROUTES: list[tuple[str, type[Handler]]] = [
@@ -437,9 +463,9 @@ ROUTES: list[tuple[str, type[Handler]]] = [
     (rf"/api/projects/{_ID}", ProjectHandler),
     (rf"/api/projects/{_ID}/choices", ChoicesHandler),
     (rf"/api/projects/{_ID}/look", LookHandler),
-    (rf"/api/projects/{_ID}/frames/(\d{{1,5}})", FrameHandler),
-    (rf"/api/projects/{_ID}/masks/(\d{{1,5}})", MasksHandler),
+    (rf"/api/projects/{_ID}/frames/{_FRAME}", FrameHandler),
+    (rf"/api/projects/{_ID}/masks/{_FRAME}", MasksHandler),
     (rf"/api/projects/{_ID}/(run|stop|copy|export|render)", ActionHandler),
     (rf"/files/{_ID}/(.+)", FileHandler),
-    (rf"/pack/{_ID}/([a-z0-9_-]{{1,40}})", PackHandler),
+    (rf"/pack/{_ID}/([a-z0-9_-]{{1,40}})(?:/([0-9]{{2,5}}))?", PackHandler),
 ]

@@ -2,7 +2,7 @@
 
 clip/NAME      the clip as it came
 studio.json    what was chosen, and what is being done
-run/           the folder of its run, as ``flowsplat run`` makes it
+run/           the folder of its run, as ``flowsplat run`` makes it; of a clip with cuts those of its shots are in it
 run.log        what its processes said
 poster.jpg     an image of it
 downloads/     exports that are folders, packed
@@ -15,8 +15,9 @@ import secrets
 import shutil
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 from msgspec import Meta
 from typing_extensions import NotRequired, TypedDict
@@ -25,6 +26,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, plain_name, read_json, write_json
 from flowsplat.common.files.json_file import Text, Versioned
 from flowsplat.common.run_paths import RunPaths
+from flowsplat.pipeline.shot_list import Shot, read_shots
 from flowsplat.studio.choices import Choices, first_choices
 
 VERSION = 1
@@ -45,7 +47,7 @@ class TaskFile(TypedDict):
     begun: Text
     since: Number
     stopping: bool
-    expected: NotRequired[dict[str, Number]]
+    times: NotRequired[list[dict[str, Number]]]
 
 
 class EndFile(TypedDict):
@@ -66,9 +68,25 @@ class ProjectFile(TypedDict):
     ran: NotRequired[Choices | None]
     waiting: list[Text]
     asked: NotRequired[Number]
-    expected: NotRequired[dict[str, Number]]
+    times: NotRequired[list[dict[str, Number]]]
     task: NotRequired[TaskFile | None]
     end: NotRequired[EndFile | None]
+
+
+class SceneRun(NamedTuple):
+    """The run of a scene: of the whole clip, or of one of its shots.
+
+    Attributes:
+        name: of the shot, as its folder has it; empty for the whole clip.
+        title: what the page calls the shot; empty likewise.
+        number: of the shot, from 1; 0 likewise.
+        run: where it is, or will be.
+    """
+
+    name: str
+    title: str
+    number: int
+    run: RunPaths
 
 
 class Project:
@@ -92,6 +110,9 @@ class Project:
             raise InputError(f"{path} is of another version of flowsplat ({version}).")
         self.record: Any = read_json(path, ProjectFile)
         plain_name(self.record["name"], f"{path}: the clip's name")
+        for choices in (self.record["choices"], self.record.get("ran")):
+            if choices is not None:  # before there was a choice every clip became one scene
+                choices.setdefault("shots", "off")
 
     @staticmethod
     def create(studio: Path, name: str, received: Path) -> Project:
@@ -160,8 +181,38 @@ class Project:
 
     @property
     def run(self) -> RunPaths:
-        """Where its run is, or will be."""
+        """Where its run is, or will be, or those of all shots."""
         return RunPaths(self.folder / "run")
+
+    @property
+    def shots(self) -> list[Shot] | None:
+        """The shots whose runs there are, or will be; None where the clip is one scene, or nothing was begun."""
+        with suppress(InputError):
+            listed = read_shots(self.run.path)
+            return None if listed is None else listed.shots
+        return None
+
+    @property
+    def scenes(self) -> list[SceneRun]:
+        """The run of each scene that it is, or will be."""
+        shots = self.shots
+        if shots is None:
+            return [SceneRun("", "", 0, self.run)]
+        return [
+            SceneRun(shot.path.name, f"Shot {shot.number}, {shot.start:.2f} to {shot.end:.2f} s", shot.number, RunPaths(shot.path))
+            for shot in shots
+        ]
+
+    def scene(self, name: str) -> SceneRun:
+        """Return the scene of a shot, or that of the whole clip.
+
+        Raises:
+            InputError: there is none of this name.
+        """
+        for each in self.scenes:
+            if each.name == name:
+                return each
+        raise InputError("There is no such shot." if name else "Say which shot is meant.")
 
     @property
     def log(self) -> Path:
@@ -175,7 +226,7 @@ class Project:
 
     @property
     def waiting(self) -> list[str]:
-        """What is to be done with it, in order: ``run``, ``export FORMAT`` or ``render VIDEO``."""
+        """What is to be done with it, in order: ``run``, ``export FORMAT`` or ``render VIDEO``, perhaps with a shot."""
         found: list[str] = self.record["waiting"]
         return found
 
@@ -192,7 +243,7 @@ class Project:
     @property
     def is_cut_fixed(self) -> bool:
         """Whether a run was begun, whose folder belongs to one cut and one size of frames."""
-        return self.run.record_path.exists()
+        return self.run.holds_run
 
 
 def list_projects(studio: Path) -> Iterator[Project]:

@@ -12,22 +12,25 @@ from urllib.parse import quote
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import atomic_path, make_folder, read_json
+from flowsplat.common.run_paths import RunPaths
 from flowsplat.output.export.formats import EXPORTERS
 from flowsplat.output.report import video_title
 from flowsplat.output.videos import list_rendered
 from flowsplat.output.videos.shown import order_videos
 from flowsplat.pipeline.folder import MetricsFile
 from flowsplat.scenes import Scene
-from flowsplat.studio.project import Project
+from flowsplat.studio.choices import list_idle_marks, name_frame
+from flowsplat.studio.project import Project, SceneRun
 from flowsplat.studio.standing import SAYS, StandingReader, read_orbits
 from flowsplat.studio.tasks import RENDERINGS, command_line
 
 PAGE = "html"
 """The export that plays a scene."""
 _PLACE = re.compile(r"(\d{1,5}),(\d{1,5})@(\d{1,5})")
+_RUN = r"run/(?:shots/(?P<shot>[0-9]{2,5})/)?"
 SERVED = re.compile(
-    r"poster\.jpg|run/(?:report|priors)\.html|run/preview\.png|run/renders/[^/]+\.(?:mp4|gif|webm|mov|png)"
-    r"|run/coarse/renders/[^/]+\.mp4|run/export/[^/]+|downloads/[^/]+\.zip|clip/[^/]+"
+    rf"poster\.jpg|downloads/[^/]+\.zip|clip/[^/]+|{_RUN}(?:(?:report|priors)\.html|preview\.png|"
+    r"renders/[^/]+\.(?:mp4|gif|webm|mov|png)|coarse/renders/[^/]+\.mp4|export/[^/]+)"
 )
 """Files of a project that the page may ask for."""
 
@@ -41,9 +44,13 @@ def state_of(project: Project) -> str:
         return "waiting"
     if end is not None and end["what"] == "run":
         return end["state"]
-    if project.run.report_path.exists():
+    if _is_done(project):
         return "done"
-    return "stopped" if project.run.record_path.exists() else "draft"
+    return "stopped" if project.run.holds_run else "draft"
+
+
+def _is_done(project: Project) -> bool:
+    return all(each.run.report_path.exists() for each in project.scenes)
 
 
 def summarize(project: Project) -> dict[str, Any]:
@@ -61,79 +68,115 @@ def describe(project: Project, standings: StandingReader, run_options: Sequence[
         **summarize(project), "choices": project.choices, "clip": _link(project, project.clip),
         "fixed": project.is_cut_fixed, "changed": project.is_cut_fixed and project.record.get("ran") != project.choices,
         "command": command_line(project, "run", run_options), "message": "", "standing": None, "preview": None,
-        "making": None, "waiting": project.waiting,
+        "making": None, "waiting": project.waiting, "idle": list_idle_marks(project.choices),
     }  # fmt: skip
     if end is not None and end["state"] == "failed":
         found["message"], found["failed"] = end["message"], end["what"]
     if task is not None and task["what"] == "run":
-        standing = standings.read(project.run, project.log, task["since"], task.get("expected") or {})
+        scenes = project.scenes
+        standing = standings.read([each.run for each in scenes], project.log, task["since"], task.get("times") or [])
+        of_shot = f"Shot {standing.scene + 1} of {len(scenes)}: " if scenes[0].number else ""
         found["standing"] = {
-            "says": SAYS[standing.stage], "line": standing.line[:300], "share": standing.share, "left": standing.seconds_left,
-            "late": standing.is_late,
+            "says": of_shot + SAYS[standing.stage], "line": standing.line[:300], "share": standing.share,
+            "left": standing.seconds_left, "late": standing.is_late,
         }  # fmt: skip
     elif task is not None:
         found["making"] = task["what"]
     if state in ("running", "stopping", "stopped", "failed"):
-        found["preview"] = _link(project, project.run.preview_path)
-    if project.run.report_path.exists():
+        previews = [each.run.preview_path for each in project.scenes if each.run.preview_path.is_file()]
+        found["preview"] = _link(project, max(previews, key=_change_time)) if previews else None
+    if _is_done(project):
         found["results"] = _describe_results(project)
     return found
 
 
+def _change_time(path: Path) -> float:
+    """Return when a file was changed, 0 where it is gone."""
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return 0.0
+
+
 def _describe_results(project: Project) -> dict[str, Any]:
-    run = project.run
-    page = run.path / "export" / EXPORTERS[PAGE].default_name
+    page = project.run.path / "export" / EXPORTERS[PAGE].default_name
+    orbits = read_orbits(project.log)
     return {
-        "page": _link(project, page), "page_bytes": _size(page), "report": _link(project, run.report_path),
-        "renderings": list(_list_renderings(project)),
-        "priors": _link(project, run.priors_report_path), "videos": list(_list_videos(project)),
-        "exports": list(_list_exports(project)), "hints": list(_list_hints(project)),
-        "orbit": _describe_orbits(orbits) if (orbits := read_orbits(project.log)) else None,
+        "page": _link(project, page), "page_bytes": _size(page), "report": _link(project, project.run.report_path),
+        "page_command": command_line(project, f"export {PAGE}"),
+        "scenes": [
+            {
+                "shot": each.name, "title": each.title, "frame": _find_middle_frame(each),
+                "report": _link(project, each.run.report_path), "priors": _link(project, each.run.priors_report_path),
+                "renderings": list(_list_renderings(project, each)), "videos": list(_list_videos(project, each.run)),
+                "exports": list(_list_exports(project, each)), "hints": list(_list_hints(each)),
+                "orbit": _describe_orbits(found) if (found := orbits.get(each.number)) else None,
+            }
+            for each in project.scenes
+        ],
     }  # fmt: skip
 
 
-def _list_videos(project: Project) -> Iterator[dict[str, str | None]]:
+def name_task(scene: SceneRun, what: str) -> str:
+    """Return what is asked of a scene (``export FORMAT``, ``render VIDEO``) with the shot that it is of."""
+    return f"{what} {scene.name}".rstrip()
+
+
+def _find_middle_frame(scene: SceneRun) -> int | str | None:
+    """Return a frame to know a scene by; None where its scene cannot be read."""
+    try:
+        frames = Scene(scene.run.scene_path).train_frames
+    except InputError:
+        return None
+    return name_frame(scene.number, frames[len(frames) // 2])
+
+
+def _list_videos(project: Project, run: RunPaths) -> Iterator[dict[str, str | None]]:
     """Yield the videos as the report shows them, then those with flow and depth beside it."""
     try:
-        files = list_rendered(project.run.renders_path)
+        files = list_rendered(run.renders_path)
     except InputError:
         return
     videos = order_videos(files)
     titles = {video.shown: video_title(video.name) for video in videos}
     titles |= {video.beside: f"{video_title(video.name)}, with flow and depth" for video in videos if video.beside is not None}
     for name, title in titles.items():
-        link = _link(project, project.run.renders_path / files[name])
+        link = _link(project, run.renders_path / files[name])
         if link is not None:
             yield {"title": title, "link": link, "file": files[name]}
 
 
-def _list_renderings(project: Project) -> Iterator[dict[str, str]]:
+def _list_renderings(project: Project, scene: SceneRun) -> Iterator[dict[str, str]]:
     """Yield the videos that can be made besides those that are there; they are of what moves, so none where nothing does."""
     try:
-        moves = bool(read_json(project.run.metrics_path, MetricsFile).get("objects"))
-        files = list_rendered(project.run.renders_path)
+        moves = bool(read_json(scene.run.metrics_path, MetricsFile).get("objects"))
+        files = list_rendered(scene.run.renders_path)
     except InputError:
         return
     for name, each in RENDERINGS.items():
         if moves and f"input_path_{name}" not in files:
-            yield {"name": name, "title": each.title, "says": each.says, "command": command_line(project, f"render {name}")}
+            what = name_task(scene, f"render {name}")
+            command = command_line(project, what)
+            yield {"name": name, "what": what, "title": each.title, "says": each.says, "command": command}
 
 
-def _list_exports(project: Project) -> Iterator[dict[str, Any]]:
+def _list_exports(project: Project, scene: SceneRun) -> Iterator[dict[str, Any]]:
     for entry in EXPORTERS.entries():
-        made = project.run.path / "export" / entry.value.default_name
-        link = f"/pack/{project.id}/{entry.name}" if entry.value.is_folder and made.is_dir() else _link(project, made)
+        made = scene.run.path / "export" / entry.value.default_name
+        pack = "/".join(["/pack", project.id, entry.name, *([scene.name] if scene.name else [])])
+        link = pack if entry.value.is_folder and made.is_dir() else _link(project, made)
+        what = name_task(scene, f"export {entry.name}")
         yield {
-            "name": entry.name, "title": entry.title, "says": entry.sentence, "link": link,
-            "command": command_line(project, f"export {entry.name}"),
+            "name": entry.name, "what": what, "title": entry.title, "says": entry.sentence,
+            "link": link, "command": command_line(project, what),
         }  # fmt: skip
 
 
-def _list_hints(project: Project) -> Iterator[dict[str, Any]]:
+def _list_hints(scene: SceneRun) -> Iterator[dict[str, Any]]:
     """Yield the objects whose distance is a guess, with the place at which each most likely touches what is under it."""
     try:
-        objects = read_json(project.run.metrics_path, MetricsFile).get("objects", [])
-        scene = Scene(project.run.scene_path)
+        objects = read_json(scene.run.metrics_path, MetricsFile).get("objects", [])
+        prepared = Scene(scene.run.scene_path)
     except InputError:
         return
     for each in objects:
@@ -141,25 +184,28 @@ def _list_hints(project: Project) -> Iterator[dict[str, Any]]:
         if place is None or each.get("small"):
             continue
         x, y, frame = map(int, place.groups())
-        if frame in scene.train_frames:
+        if frame in prepared.train_frames:
             yield {
-                "number": each.get("number"), "frame": frame,
-                "x": min((x + 0.5) / scene.width, 1.0), "y": min((y + 0.5) / scene.height, 1.0),
+                "number": each.get("number"), "frame": name_frame(scene.number, frame),
+                "x": min((x + 0.5) / prepared.width, 1.0), "y": min((y + 0.5) / prepared.height, 1.0),
             }  # fmt: skip
 
 
-def pack_folder(project: Project, to: str) -> Path:
+def pack_folder(project: Project, to: str, shot: str = "") -> Path:
     """Return an export that is a folder as one file, packed anew where it has changed.
 
+    Args:
+        shot: its name, where the clip has some.
+
     Raises:
-        InputError: it was not made yet, or the file cannot be written.
+        InputError: it was not made yet, there is no such shot, or the file cannot be written.
     """
     exporter = EXPORTERS[to]
-    folder = project.run.path / "export" / exporter.default_name
+    folder = project.scene(shot).run.path / "export" / exporter.default_name
     if not exporter.is_folder or not folder.is_dir():
         raise InputError(f"{to} was not made yet.")
     files = sorted(path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
-    packed = make_folder(project.folder / "downloads") / f"{exporter.default_name}.zip"
+    packed = make_folder(project.folder / "downloads") / f"{f'{shot}-' if shot else ''}{exporter.default_name}.zip"
     if packed.exists() and all(path.stat().st_mtime <= packed.stat().st_mtime for path in files):
         return packed
     with atomic_path(packed) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as opened:
@@ -170,7 +216,8 @@ def pack_folder(project: Project, to: str) -> Path:
 
 def forget_exports(project: Project) -> None:
     """Delete the exports of a scene that is about to become another one."""
-    for folder in (project.run.path / "export", project.folder / "downloads"):
+    exports = [run.path / "export" for run in (project.run, *(each.run for each in project.scenes))]
+    for folder in (*exports, project.folder / "downloads"):
         shutil.rmtree(folder, ignore_errors=True)
 
 

@@ -76,7 +76,7 @@ class Studio:
         project.waiting.remove(what)
         if what == "run":
             results.forget_exports(project)
-        self.tasks.start(project, what, project.record.get("expected") if what == "run" else None)
+        self.tasks.start(project, what, project.record.get("times", []) if what == "run" else [])
 
     def _ask(self, project: Project, what: str) -> None:
         if what not in project.waiting:
@@ -116,8 +116,8 @@ class Studio:
         Raises:
             InputError: a run was begun with another cut or another quality.
         """
-        fixed = ("start", "end", "preset")
-        if project.is_cut_fixed and any(choices[name] != project.choices[name] for name in fixed):  # type: ignore[literal-required]
+        fixed = ("start", "end", "preset", "shots")
+        if project.is_cut_fixed and any(choices.get(name) != project.choices.get(name) for name in fixed):
             raise InputError("The cut and the quality of a scene that was begun stay as they are: make another version of it.")
         before, project.record["choices"] = project.choices, choices
         try:
@@ -126,7 +126,7 @@ class Studio:
             project.record["choices"] = before
             raise
 
-    def fit_marks(self, project: Project, seconds: dict[int, float]) -> int:
+    def fit_marks(self, project: Project, seconds: dict[int | str, float]) -> int:
         """Put the places that were clicked on the frames that the cut has now; how many are on none and had to go."""
         kept, lost = keep_marks(project.choices, seconds, SAME_MOMENT_SECONDS)
         if kept != project.choices:
@@ -134,30 +134,37 @@ class Studio:
             project.save()
         return lost
 
-    def ask_run(self, project: Project, expected: dict[str, float]) -> None:
+    def ask_run(self, project: Project, times: list[dict[str, float]]) -> None:
         """Begin a run, or go on with it, as soon as no other works.
 
         Args:
-            expected: seconds of each stage.
+            times: expected seconds of each stage, of each scene.
         """
         if project.task is not None and project.task["what"] == "run":
             return
-        project.record["expected"], project.record["end"] = expected, None
+        project.record["times"], project.record["end"] = times, None
         self._ask(project, "run")
 
-    def ask_export(self, project: Project, to: str) -> None:
+    def ask_export(self, project: Project, to: str, shot: str = "") -> None:
         """Write a scene in a format.
 
+        Args:
+            shot: its name, where the clip has shots; the page that plays is of all of them.
+
         Raises:
-            InputError: there is no such format, or no scene yet.
+            InputError: there is no such format, no such shot, or no scene yet.
         """
         entry = results.EXPORTERS.entry(to)
         if results.state_of(project) != "done":
             raise InputError("There is no finished scene yet.")
-        self._ask(project, f"export {entry.name}")
+        of_all = entry.name == results.PAGE and not shot
+        self._ask(project, f"export {entry.name}" if of_all else results.name_task(project.scene(shot), f"export {entry.name}"))
 
-    def ask_render(self, project: Project, name: str) -> None:
+    def ask_render(self, project: Project, name: str, shot: str = "") -> None:
         """Render one of the videos of ``tasks.RENDERINGS``.
+
+        Args:
+            shot: the name of the shot, where the clip has some.
 
         Raises:
             InputError: there is no such video, or no scene yet.
@@ -166,7 +173,7 @@ class Studio:
             raise InputError("There is no such video.")
         if results.state_of(project) != "done":
             raise InputError("There is no finished scene yet.")
-        self._ask(project, f"render {name}")
+        self._ask(project, results.name_task(project.scene(shot), f"render {name}"))
 
     def stop(self, project: Project) -> None:
         """Let a run stop, or wait no longer for its turn."""

@@ -70,21 +70,23 @@ def list_words(project: Project, what: str, run_options: Sequence[str] = ()) -> 
     """Return the words of the command line, from ``flowsplat`` on.
 
     Args:
-        what: ``run``, ``export FORMAT``, or ``render`` with one of ``RENDERINGS``.
+        what: ``run``, ``export FORMAT``, or ``render`` with one of ``RENDERINGS``; behind the last two the name of a shot, where
+            they are of one.
 
     Raises:
-        InputError: there is no such format, or no such video.
+        InputError: there is no such format, no such video, or no such shot.
     """
     if what == "run":
-        # The page shows one scene: the cut is chosen on it.
-        places = [str(project.clip), "-o", str(project.run.path), "--shots", "off"]
+        shots = ["--shots", "off"] if project.choices.get("shots") == "off" else []
+        places = [str(project.clip), "-o", str(project.run.path), *shots]
         return ["flowsplat", "run", *places, *list_arguments(project.choices, run_options)]
-    kind, _, name = what.partition(" ")
+    kind, name, *shot = what.split(" ")
+    run = project.scene(shot[0]).run if shot else project.run
     if kind == "render":
         if name not in RENDERINGS:
             raise InputError(f"There is no video {name}.")
-        return ["flowsplat", "render", str(project.run.path), *RENDERINGS[name].options]
-    return ["flowsplat", "export", str(project.run.path), "--to", EXPORTERS.entry(name).name]
+        return ["flowsplat", "render", str(run.path), *RENDERINGS[name].options]
+    return ["flowsplat", "export", str(run.path), "--to", EXPORTERS.entry(name).name]
 
 
 def command_line(project: Project, what: str, run_options: Sequence[str] = ()) -> str:
@@ -100,11 +102,11 @@ class Tasks:
         self._run_options = tuple(run_options)
         self._ours: dict[int, subprocess.Popen[bytes]] = {}
 
-    def start(self, project: Project, what: str, expected: dict[str, float] | None = None) -> None:
+    def start(self, project: Project, what: str, times: Sequence[dict[str, float]] = ()) -> None:
         """Begin something with a project; its record says so from then on.
 
         Args:
-            expected: seconds of each stage.
+            times: expected seconds of each stage, of each scene.
 
         Raises:
             InputError: the system starts no process, or the log cannot be written.
@@ -125,7 +127,7 @@ class Tasks:
         self._ours[process.pid] = process
         project.record["task"] = {
             "what": what, "process": process.pid, "begun": read_start_time(process.pid) or "", "since": time.time(),
-            "stopping": False, "expected": expected or {},
+            "stopping": False, "times": list(times),
         }  # fmt: skip
         project.record["end"] = None
         if what == "run":

@@ -15,6 +15,7 @@ from safetensors.torch import load_file
 import flowsplat
 from flowsplat.cli import main
 from flowsplat.common.errors import InputError
+from flowsplat.gaussians.crop import compute_bounds, crop, parse_crop
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.model_config import ModelConfig
@@ -338,6 +339,19 @@ def test_the_command_keeps_as_many_as_it_is_told(capsys, tmp_path, run):
     assert 0 < len(PlyData.read(tmp_path / "a.ply")["vertex"]) <= 50
 
 
+def test_a_crop_is_what_lies_in_its_box(capsys, tmp_path, run):
+    """In the coordinates of the cameras, which are those of the file."""
+    model = flowsplat.load(run)
+    bounds = compute_bounds(model)
+    middle = (bounds.low[0] + bounds.high[0]) / 2
+    box = str(replace(bounds, high=(middle, *bounds.high[1:]), low=tuple(value - 1 for value in bounds.low)))
+    code, line = export(capsys, run, "--to", "npz", f"--crop={box}", "-o", tmp_path / "a.npz")
+    assert code == 0, line
+    kept = len(np.load(tmp_path / "a.npz")["means"])
+    assert kept == len(crop(model, parse_crop(box)).gaussians)
+    assert 0 < kept < len(model.gaussians)
+
+
 @pytest.mark.parametrize("to", ["html", "splat", "npz"])
 def test_the_file_is_no_larger_than_it_may_be_and_hardly_smaller(tmp_path, run, to):
     model, scene = small_model(resting=4000, moving=3000), Scene(run / "scene")
@@ -406,6 +420,9 @@ def test_python_tells_how_to_embed_a_page(capsys, run):
         (["--to", "ply", "--embed"], "--embed is for html, not for ply"),
         (["--to", "ply", "--max-gaussians", "0"], "at least 1"),
         (["--to", "ply", "--size-mb", "0"], "more than 0"),
+        (["--to", "ply", "--crop=1,2"], "--crop 1,2 cannot be understood"),
+        (["--to", "npz", "--crop=90,90,90,91,91,91"], "holds nothing of the scene"),
+        (["--to", "colmap", "--crop=-9,-9,-9,9,9,9"], "--crop is for Gaussians: colmap has none"),
         (["--to", "ply", "--size-mb", "nan"], "more than 0"),
         (["--to", "ply-sequence", "--size-mb", "5"], "ply-sequence has a folder"),
         (["--to", "colmap", "--size-mb", "5"], "colmap has none"),

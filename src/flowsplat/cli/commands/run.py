@@ -28,7 +28,8 @@ def build(defaults: RunConfig) -> Callable[..., None]:
             out: Folder for everything that comes out.
             preset: fast (half size, about two minutes), default, paper (the paper's settings) or high (ten times default).
             shots: Of a video or a folder of images with cuts, make a scene of each shot of ten frames and more (OUT/shots/01,
-                02, ...), with one report; off: one scene of all. Given files and clicks are of one scene, too.
+                02, ...), with one report; off: one scene of all. Given files are of one scene, too, and so are clicks unless they
+                name a shot: x,y@shot/frame.
             config: All settings.
         """
         from flowsplat import pipeline

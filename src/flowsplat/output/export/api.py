@@ -13,6 +13,7 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder
 from flowsplat.common.progress import as_one, report
+from flowsplat.gaussians.crop import crop, parse_crop
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Camera
 from flowsplat.output.export.formats import EXPORTERS, Write
@@ -60,10 +61,15 @@ def export_scene(
         raise InputError(f"{path} is a folder, {to} is one file: give a name for it with -o.")
     if path.is_file() and exporter.is_folder:
         raise InputError(f"{path} is a file, {to} needs a folder: give another one with -o.")
+    box = None if options.crop is None else parse_crop(options.crop)
+    if box is not None:
+        crop(model, box)  # before anything is fitted or written it is said that nothing is left
     make_folder(path if exporter.is_folder else path.parent)
     if exporter.has_gaussians and not exporter.keeps_slopes and model.gaussians.has_slopes:
         model = _without_slopes(model, scene, to, options, one_color)
     write = exporter.write if exporter.begin is None else exporter.begin(model, scene)
+    if box is not None:
+        model = crop(model, box)
     if options.max_gaussians is not None and exporter.has_gaussians:
         model = choose_most_important(model, _list_views(scene), options.max_gaussians)
     if options.size_mb is not None:
@@ -133,6 +139,8 @@ def _check(model: SceneModel, to: str, options: ExportOptions) -> None:
         raise InputError(
             f"--size-mb is for Gaussians in one file: {to} has {'none' if not exporter.has_gaussians else 'a folder'}."
         )
+    if options.crop is not None and not exporter.has_gaussians:
+        raise InputError(f"--crop is for Gaussians: {to} has none.")
     if options.embed and exporter.embed is None:
         can = ", ".join(entry.name for entry in entries if entry.value.embed is not None)
         raise InputError(f"--embed is for {can}, not for {to}.")

@@ -18,5 +18,8 @@ class ExportOptions:
     """Keep at most this many: those without which the training frames would change most. None = all."""
     size_mb: float | None = None
     """Megabytes (millions of bytes) that the file may have: as many Gaussians are kept as have room. None = any size."""
+    crop: str | None = None
+    """Only what lies in a box: x0,y0,z0,x1,y1,z1 in the coordinates of the scene's cameras
+    (--crop=-1,-1,0.5,1,1,3). None = all."""
     embed: bool = False
     """Of the page, also tell the line of HTML that shows it in another page, such as a blog: playing, without its controls."""

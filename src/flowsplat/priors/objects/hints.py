@@ -22,8 +22,7 @@ from flowsplat.priors.background.static_depth import StaticDepth
 from flowsplat.priors.objects.distance import Cue
 from flowsplat.priors.objects.solving import DynamicObject
 from flowsplat.priors.objects.storage import SceneObjects
-from flowsplat.priors.prompts import parse_place
-from flowsplat.scenes import Scene
+from flowsplat.priors.prompts import FrameNumbers, parse_place
 
 HINT_SIGMA = {"contact_hint": 0.02, "same_depth_hint": 0.03}
 """Standard deviation of ln distance that one hint leaves where the depth of what it names is sure."""
@@ -64,7 +63,7 @@ class Hint:
     still: tuple[float, float] | None = None
 
 
-def parse_hints(contact: Sequence[str], same_depth: Sequence[str], scene: Scene) -> list[Hint]:
+def parse_hints(contact: Sequence[str], same_depth: Sequence[str], scene: FrameNumbers) -> list[Hint]:
     """Hints as they are typed: ``x,y@frame`` and ``x,y@frame=x2,y2``; values of at most 1 are shares of width and height.
 
     Raises:

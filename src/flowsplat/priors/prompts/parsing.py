@@ -17,8 +17,8 @@ _NUMBER = r"-?\d+(?:\.\d+)?"
 Point = tuple[float, float]
 
 
-class ClipFrames(Protocol):
-    """What places are given on: the frames of a scene, or of a clip that is no scene yet."""
+class FrameNumbers(Protocol):
+    """What is known of the frames that places are given on, those of a scene or of a clip that is no scene yet."""
 
     @property
     def width(self) -> int:
@@ -39,6 +39,10 @@ class ClipFrames(Protocol):
     @property
     def heldout_frames(self) -> list[int]:
         """Numbers of the others."""
+
+
+class ClipFrames(FrameNumbers, Protocol):
+    """The frames themselves."""
 
     def frame(self, i: int) -> np.ndarray:
         """Return training frame ``i``, RGB [H, W, 3] uint8."""
@@ -68,7 +72,7 @@ CLICK_RADIUS = 0.006
 Chosen by eye."""
 
 
-def parse_prompts(clicks: Sequence[str], boxes: Sequence[str], scene: ClipFrames, beside: Sequence[str] = ()) -> list[Prompt]:
+def parse_prompts(clicks: Sequence[str], boxes: Sequence[str], scene: FrameNumbers, beside: Sequence[str] = ()) -> list[Prompt]:
     """Prompts as they are typed: ``x,y@frame`` and ``x0,y0,x1,y1@frame``, and ``=number`` of the object behind it if need be.
 
     Values that are all at most 1 are shares of width and height, others are pixels of the frames. Boxes are objects of their own,
@@ -127,7 +131,7 @@ def parse_prompts(clicks: Sequence[str], boxes: Sequence[str], scene: ClipFrames
 class _Place:
     """A place as it is typed, perhaps with the number of an object."""
 
-    def __init__(self, text: str, option: str, count: int, scene: ClipFrames):
+    def __init__(self, text: str, option: str, count: int, scene: FrameNumbers):
         place, equals, number = text.partition("=")
         if equals and not re.fullmatch(r"\s*[1-9]\d{0,2}\s*", number):
             raise InputError(f"{option} {text} cannot be understood: behind = stands the number of an object, 1 or more.")
@@ -153,7 +157,21 @@ class _Place:
         return self.number
 
 
-def parse_place(text: str, option: str, count: int, scene: ClipFrames) -> tuple[int, tuple[float, ...]]:
+def split_shot(text: str) -> tuple[int | None, str]:
+    """Return the shot that a place on a frame of a clip with cuts names, and the place as the run of that shot takes it.
+
+    Args:
+        text: ``x,y@shot/frame``, perhaps with more behind it; shots count from 1. Anything else names no shot.
+
+    Examples:
+        >>> split_shot("0.5,0.4@2/7=1"), split_shot("0.5,0.4@7")
+        ((2, '0.5,0.4@7=1'), (None, '0.5,0.4@7'))
+    """
+    match = re.fullmatch(r"([^@]*@)\s*([1-9]\d{0,3})\s*/(.*)", text, re.DOTALL)
+    return (None, text) if match is None else (int(match[2]), match[1] + match[3])
+
+
+def parse_place(text: str, option: str, count: int, scene: FrameNumbers) -> tuple[int, tuple[float, ...]]:
     """Return the frame and the ``count`` (2 or 4) values, in pixels, of a place in a training frame as it is typed.
 
     Args:
@@ -165,6 +183,9 @@ def parse_place(text: str, option: str, count: int, scene: ClipFrames) -> tuple[
     form = ("x,y" if count == 2 else "x0,y0,x1,y1") + "@frame"
     match = re.fullmatch(rf"\s*({_NUMBER}(?:\s*,\s*{_NUMBER}){{{count - 1}}})\s*@\s*(\d{{1,9}})\s*", text)
     if match is None:
+        shot, place = split_shot(text)
+        if shot is not None:
+            raise InputError(f"{option} {text} names shot {shot} of a clip with cuts, and this is one scene: give {place}.")
         raise InputError(f"{option} {text} cannot be understood: give {form}, for example {option} {_EXAMPLES[count]}.")
     values, frame = np.array([float(value) for value in match[1].split(",")]), int(match[2])
     limits = np.array([scene.width, scene.height] * (count // 2))

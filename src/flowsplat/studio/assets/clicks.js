@@ -1,6 +1,6 @@
 // What moves: clicks on the frames of the clip, and what they mean.
 
-import { $, make, say, seconds, show } from "./page.js";
+import { $, make, replace, say, seconds, show } from "./page.js";
 import { ask, attempt, save } from "./server.js";
 import { now } from "./state.js";
 
@@ -29,9 +29,11 @@ export function showFrame(number) {
   now.frame = number;
   const at = now.looks.frames.findIndex(([each]) => each === number);
   $("frame-number").value = at;
-  $("frame-at").textContent = at < 0 ? "" : `${at + 1} of ${now.looks.frames.length}, at ${seconds(now.looks.frames[at][1])}`;
-  const { start, end } = now.project.choices;
-  show($("frame"), `/api/projects/${now.project.id}/frames/${number}?cut=${start}-${end}`);
+  const [shot, own] = String(number).split("/"); // of a clip with cuts a frame is called shot/number
+  const where = own === undefined ? "" : `, shot ${shot}`;
+  $("frame-at").textContent = at < 0 ? "" : `${at + 1} of ${now.looks.frames.length}, at ${seconds(now.looks.frames[at][1])}${where}`;
+  const { start, end, shots } = now.project.choices;
+  show($("frame"), `/api/projects/${now.project.id}/frames/${number}?cut=${start}-${end}-${shots}`);
   now.selected = null;
   drawMarks();
   drawMasks();
@@ -178,6 +180,7 @@ function drawObjects() {
       change(choices);
     } }, "Remove"))));
   $("objects").replaceChildren(...rows);
+  replace($("idle"), (now.project.idle || []).map((each) => make("li", {}, each)));
 }
 
 // Two objects that are one: the clicks of one go to the one before it.

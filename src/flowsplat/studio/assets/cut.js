@@ -21,6 +21,7 @@ export async function lookAt() {
   if (found.lost) say("moves-error", `${found.lost} of your clicks were on frames that the cut leaves out now: they are gone.`);
   replace($("notes"), found.notes.map((note) => make("li", {}, note)));
   drawCut();
+  drawShots();
   drawPresets();
   const numbers = found.frames.map(([number]) => number);
   $("frame-number").max = numbers.length - 1;
@@ -109,8 +110,26 @@ function drawPresets() {
   for (const input of $("presets").querySelectorAll("input")) input.checked = input.value === now.project.choices.preset;
 }
 
+// Of a clip with cuts: whether each shot becomes a scene, or all of it one.
+function drawShots() {
+  const { shots, has_cuts: hasCuts } = now.looks, count = shots || "some";
+  $("shots").hidden = !hasCuts;
+  const kinds = {
+    split: ["Each shot a scene", shots ? `${count} scene${shots === 1 ? "" : "s"}, and one page that plays ${shots === 1 ? "it" : "them in turn"}.` : "As many scenes as there are shots."],
+    off: ["All of it one scene", "Only where one place is seen all the time."],
+  };
+  replace($("shots"), Object.entries(kinds).map(([kind, [title, text]]) => make("label", {},
+    make("input", { type: "radio", name: "shots", value: kind, onchange: () => chooseShots(kind) }), make("b", {}, title), make("small", {}, text))));
+  for (const input of $("shots").querySelectorAll("input")) input.checked = input.value === now.project.choices.shots;
+}
+
+async function chooseShots(kind) {
+  now.project.choices = { ...now.project.choices, shots: kind };
+  if (await save("cut-error")) await lookAt();
+}
+
 async function choosePreset(name) {
-  now.project.choices = { ...project.choices, preset: name };
+  now.project.choices = { ...now.project.choices, preset: name };
   changed();
   if (await save("cut-error")) await drawMasks();
 }

@@ -3,9 +3,9 @@
 import { chooseTool, showFrame } from "./clicks.js";
 import { $, make, replace, say, size } from "./page.js";
 import { act } from "./server.js";
-import { now } from "./state.js";
+import { changed, now } from "./state.js";
 
-const exportTo = (to) => act("export-error", "export", { to });
+const exportTo = (to, shot = "") => act("export-error", "export", { to, shot });
 
 // Whether something is being made of the scene, or waits for its turn.
 function isMaking(what) {
@@ -14,15 +14,16 @@ function isMaking(what) {
 
 export function drawResults(results) {
   const making = isMaking("export html");
-  const place = $("player-place");
+  const place = $("player-place"), isShots = results.scenes[0].shot !== "";
+  const scene = results.scenes[Math.min(now.scene, results.scenes.length - 1)];
   if (results.page) {
     const frameOf = place.querySelector("iframe");
     if (!frameOf || frameOf.getAttribute("src") !== results.page) {
       place.replaceChildren(make("iframe", { src: results.page, title: "The scene", allow: "fullscreen" }));
     }
-  } else if (making && results.videos.length) {
+  } else if (making && scene.videos.length) {
     if (!place.querySelector("video")) {
-      place.replaceChildren(make("video", { autoplay: true, muted: true, loop: true, playsInline: true, src: results.videos[0].link }));
+      place.replaceChildren(make("video", { autoplay: true, muted: true, loop: true, playsInline: true, src: scene.videos[0].link }));
     }
   } else place.replaceChildren();
   say("player-wait", results.page ? "" : making ? "The page that plays it is being made ..." : "");
@@ -34,13 +35,25 @@ export function drawResults(results) {
     links.push(make("button", { type: "button", class: "main", onclick: () => exportTo("html") }, "Make the page that plays it"));
   }
   links.push(make("a", { class: "button", href: results.report, target: "_blank", rel: "noopener" }, "How good is it?"));
-  if (results.priors) links.push(make("a", { class: "button", href: results.priors, target: "_blank", rel: "noopener" }, "What was found"));
+  const found = make("a", { class: "button", href: scene.priors || "", target: "_blank", rel: "noopener" }, "What was found");
+  if (scene.priors && !isShots) links.push(found);
   replace($("result-links"), links);
+  drawScenes(results);
+  replace($("scene-links"), isShots ? [make("a", { class: "button", href: scene.report, target: "_blank", rel: "noopener" }, "How good is this shot?"), ...(scene.priors ? [found] : [])] : []);
   say("share", results.page ? `One file of ${size(results.page_bytes)} that any browser plays without this studio: send it to a phone as you send a photo.` : "");
-  say("orbit", results.orbit ? tellOrbit(results.orbit) : "");
-  drawHints(results);
-  drawVideos(results);
-  drawExports(results);
+  say("orbit", scene.orbit ? tellOrbit(scene.orbit) : "");
+  drawHints(scene);
+  drawVideos(scene);
+  drawExports(scene);
+}
+
+// Of a clip with cuts: its shots, of which one is looked at below.
+function drawScenes(results) {
+  $("scenes").hidden = results.scenes[0].shot === "";
+  if ($("scenes").hidden) return;
+  replace($("scenes"), results.scenes.map((each, index) => make("button", {
+    type: "button", "aria-pressed": String(index === now.scene), onclick: () => { now.scene = index; changed(); },
+  }, ...(each.frame === null ? [] : [make("img", { alt: "", src: `/api/projects/${now.project.id}/frames/${each.frame}` })]), each.title)));
 }
 
 function tellOrbit({ now: reached, before, guess }) {
@@ -49,39 +62,39 @@ function tellOrbit({ now: reached, before, guess }) {
   return `The orbit video goes ${reached}° to either side${guessed}.${last}`;
 }
 
-function drawHints(results) {
+function drawHints(scene) {
   // As soon as a click on the ground has come, the next step is to make the scene with it.
   const clicked = now.project.changed && now.project.choices.contacts.length > 0;
-  if (clicked && results.hints.length) {
+  if (clicked && scene.hints.length) {
     return replace($("hints"), [make("div", { class: "hint" }, make("p", {}, "You have clicked where something touches the ground. That counts when the scene is made again."),
       make("p", { class: "row" }, make("button", { type: "button", class: "main", onclick: () => $("run").click() }, "Make it again")))]);
   }
-  replace($("hints"), results.hints.map((hint) => make("div", { class: "hint" },
+  replace($("hints"), scene.hints.map((hint) => make("div", { class: "hint", "data-frame": String(hint.frame) },
     make("p", {}, `How far away object ${hint.number} is, is a guess. One click where it touches the ground makes it sure.`),
     make("p", { class: "row" }, make("button", { type: "button", onclick: () => showHint(hint) }, "Show me where that may be")))));
 }
 
-function drawVideos(results) {
-  replace($("videos"), results.videos.map((each) => make("figure", {},
+function drawVideos(scene) {
+  replace($("videos"), scene.videos.map((each) => make("figure", {},
     /\.gif(\?|$)/.test(each.link) ? make("img", { alt: each.title, src: each.link })
       : make("video", { controls: true, muted: true, loop: true, playsInline: true, preload: "metadata", src: each.link }),
     make("figcaption", {}, make("span", {}, each.title), make("a", { href: `${each.link}&download=1`, download: "" }, "Download")))));
-  $("videos-box").hidden = !results.videos.length;
-  replace($("renderings"), results.renderings.map((each) => {
-    const busy = isMaking(`render ${each.name}`);
+  $("videos-box").hidden = !scene.videos.length;
+  replace($("renderings"), scene.renderings.map((each) => {
+    const busy = isMaking(each.what);
     return make("li", {}, make("span", { class: "about" }, each.title, make("small", {}, each.says)),
-      make("button", { type: "button", disabled: busy, onclick: () => act("video-error", "render", { to: each.name }) }, busy ? "Being made ..." : "Make it"),
+      make("button", { type: "button", disabled: busy, onclick: () => act("video-error", "render", { to: each.name, shot: scene.shot }) }, busy ? "Being made ..." : "Make it"),
       make("code", {}, each.command));
   }));
   tellFailure("video-error", "render ");
 }
 
-function drawExports(results) {
-  replace($("exports"), results.exports.filter((each) => each.name !== "html").map((each) => {
-    const busy = isMaking(`export ${each.name}`);
+function drawExports(scene) {
+  replace($("exports"), scene.exports.filter((each) => each.name !== "html").map((each) => {
+    const busy = isMaking(each.what);
     return make("li", {}, make("span", { class: "about" }, each.title, make("small", {}, each.says)),
       each.link ? make("a", { class: "button", href: each.link.startsWith("/files/") ? `${each.link}&download=1` : each.link, download: "" }, "Download")
-        : make("button", { type: "button", disabled: busy, onclick: () => exportTo(each.name) }, busy ? "Being made ..." : "Make it"),
+        : make("button", { type: "button", disabled: busy, onclick: () => exportTo(each.name, scene.shot) }, busy ? "Being made ..." : "Make it"),
       make("code", {}, each.command));
   }));
   tellFailure("export-error", "export ");

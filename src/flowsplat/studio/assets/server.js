@@ -52,6 +52,7 @@ export function save(place) {
     if (now.project && now.project.id === id) {
       now.project.command = found.command;
       now.project.changed = found.changed;
+      now.project.idle = found.idle;
       changed();
     }
     return true;
@@ -71,5 +72,3 @@ export async function act(place, action, body) {
     }
   });
 }
-
-const exportTo = (to) => act("export-error", "export", { to });

@@ -27,7 +27,7 @@ async function route() {
     return showStart();
   }
   now.frame = 0;
-  now.object = 0;
+  now.object = now.scene = 0;
   chooseTool("new");
   $("scene").hidden = false;
   $("sure").hidden = true;
