@@ -46,7 +46,7 @@ def _attach(
     if holder is None:
         return obj
     offsets = []
-    for k in np.flatnonzero(numbers == holder.number):
+    for k in np.flatnonzero(numbers == holder.number).tolist():
         found = below[k]
         if found is not None and np.isfinite(obj.log_depth[k]) and np.isfinite(holder.log_depth[k]):
             pixels = found[1] + 0.5
