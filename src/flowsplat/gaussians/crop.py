@@ -34,7 +34,7 @@ class CropBox:
 
     def holds(self, points: np.ndarray) -> np.ndarray:
         """Return which of the points [N, 3] lie in it, [N] bool."""
-        return np.asarray(((points >= self.low) & (points <= self.high)).all(-1))
+        return np.asarray(((points >= self.low) & (points <= self.high)).all(-1), bool)
 
 
 def parse_crop(text: str) -> CropBox:

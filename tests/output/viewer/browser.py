@@ -109,6 +109,11 @@ class Browser:
         """Press a button, by the label that it began with."""
         self.set(label, True)
 
+    def double_click(self, x: float, y: float) -> None:
+        """On the scene, at shares of the window."""
+        for _ in range(2):
+            self._send(_messages.ScenePointerMessage("click", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), ((x, y),), None))
+
     def value(self, label: str) -> Any:
         """What a control shows."""
         return self.controls[label].get("value")

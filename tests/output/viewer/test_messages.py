@@ -14,6 +14,10 @@ CAMERA: dict[str, Any] = {
     "type": "ViewerCameraMessage", "wxyz": [1.0, 0, 0, 0], "position": [0, 0, 1.5], "look_at": [0, 0, 0],
     "up_direction": [0, -1, 0], "fov": 1.0, "near": 0.01, "far": 1000.0, "image_height": 400, "image_width": 640,
 }  # fmt: skip
+CLICK: dict[str, Any] = {
+    "type": "ScenePointerMessage", "event_type": "click", "ray_origin": [0.0, 0, 0], "ray_direction": [0.0, 0, 1],
+    "screen_pos": [[0.5, 0.25]], "modifier": None,
+}  # fmt: skip
 UPDATE: dict[str, Any] = {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": 0.5}}
 UPLOAD: dict[str, Any] = {
     "type": "FileTransferStartUpload", "source_component_uuid": "a", "transfer_uuid": "t", "filename": "x.json", "mime_type": "",
@@ -33,6 +37,7 @@ def part(number: int, content: bytes, transfer: str = "t") -> dict[str, Any]:
 
 def test_what_the_page_says_gets_through_unchanged():
     assert passed(CAMERA) == CAMERA
+    assert passed(CLICK) == CLICK
     for value in (0.5, 3, True, ".mp4", ""):
         message = {**UPDATE, "updates": {"value": value}}
         assert passed(message) == message
@@ -50,6 +55,16 @@ def test_what_the_page_says_gets_through_unchanged():
 def test_cameras_that_are_none_are_dropped(change):
     assert passed({**CAMERA, **change}) is None
     assert passed({name: value for name, value in CAMERA.items() if name not in change}) is None
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"event_type": "rect-select"}, {"ray_origin": None}, {"ray_direction": [0, float("nan"), 1]}, {"screen_pos": []},
+     {"screen_pos": [[0.5, 0.5], [0.6, 0.6]]}, {"screen_pos": [[0.5, 2]]}, {"screen_pos": [["a", 0]]}, {"modifier": "x" * 9999}],
+)  # fmt: skip
+def test_clicks_that_are_none_are_dropped(change):
+    assert passed({**CLICK, **change}) is None
+    assert passed({name: value for name, value in CLICK.items() if name not in change}) is None
 
 
 @pytest.mark.parametrize(

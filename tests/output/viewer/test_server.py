@@ -28,10 +28,10 @@ from tests.output.tiny import FPS, FRAMES, frames_of, red, tiny_run
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'flowsplat[view]'")
 
+from flowsplat.output.videos.amplitudes import SWING_ANGLES
 from flowsplat.output.videos.plans import plan_videos
 from flowsplat.output.viewer import export_panel
 from flowsplat.output.viewer.browser_frame import SCENE_DEPTH
-from flowsplat.output.viewer.panel import MAX_TURN
 from flowsplat.output.viewer.server import Viewer
 from tests.output.viewer.browser import Browser, free_port, heed_ctrl_c
 
@@ -212,9 +212,13 @@ def test_the_input_camera_follows_the_clip(browser):
     there = browser.position
     home = browser.settled()
     browser.look(position=there + [2.0, 0, 0])
-    reach = np.radians(MAX_TURN) * SCENE_DEPTH
+    reach = np.radians(min(SWING_ANGLES)) * SCENE_DEPTH
     browser.wait(lambda: 0.5 * reach < np.linalg.norm(browser.position - there) < 1.01 * reach)
     assert (browser.settled() != home).any(), "it can be looked past, as far as every loop goes"
+    browser.double_click(0.5, 0.5)
+    browser.wait(lambda: np.abs(browser.position - there).max() < 1e-3)
+    browser.look(position=there + [2.0, 0, 0])
+    browser.wait(lambda: np.linalg.norm(browser.position - there) > 0.5 * reach)
     browser.click("To the input camera")
     browser.wait(lambda: np.abs(browser.position - there).max() < 1e-3)
     np.testing.assert_array_equal(browser.settled(), home)

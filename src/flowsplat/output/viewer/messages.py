@@ -1,8 +1,8 @@
 """Check the messages of a browser to the viewer: whatever arrives passes ``Gate`` before viser sees it.
 
 viser trusts what it is told: it would set any property of a control, share the viewer through a server of its makers, and keep as
-much of an upload as is sent. Here only what this viewer's own page says gets through: the camera, the value of a control, an upload
-that fits. What values a control may have, it knows itself (``controls``).
+much of an upload as is sent. Here only what this viewer's own page says gets through: the camera, a click, the value of a control,
+an upload that fits. What values a control may have, it knows itself (``controls``).
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Gate:
             message = msgspec.msgpack.decode(raw)
             check = {
                 "ViewerCameraMessage": self._camera, "GuiUpdateMessage": self._update,
-                "FileTransferStartUpload": self._start, "FileTransferPart": self._part,
+                "ScenePointerMessage": self._click, "FileTransferStartUpload": self._start, "FileTransferPart": self._part,
             }.get(message.get("type"))  # fmt: skip
             return check(raw, message) if check is not None else None
         except (msgspec.MsgspecError, RecursionError, AttributeError, KeyError, TypeError, ValueError, OverflowError):
@@ -72,6 +72,13 @@ class Gate:
         sizes = (message["image_width"], message["image_height"])
         has_window = all(_is_number(size, 0, _MAX_WINDOW_SIDE) for size in sizes)
         return raw if is_turned and has_window and _is_number(message["fov"], 1e-3, math.pi - 1e-3) else None
+
+    def _click(self, raw: bytes, message: dict[str, Any]) -> bytes | None:
+        (place,) = message["screen_pos"]
+        ends = (message["ray_origin"], message["ray_direction"])
+        has_ray = all(len(end) == 3 and all(_is_number(each, -_MAX_COORDINATE, _MAX_COORDINATE) for each in end) for end in ends)
+        is_inside = len(place) == 2 and all(_is_number(share, 0, 1) for share in place)
+        return raw if message["event_type"] == "click" and message["modifier"] is None and has_ray and is_inside else None
 
     def _update(self, raw: bytes, message: dict[str, Any]) -> bytes | None:
         if not _is_text(message["uuid"]) or set(message["updates"]) != {"value"}:

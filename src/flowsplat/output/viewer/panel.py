@@ -11,7 +11,6 @@ import viser
 
 from flowsplat.common.spread import spread
 from flowsplat.gaussians.renderer import PARTS
-from flowsplat.output.videos.amplitudes import SWING_ANGLES
 from flowsplat.output.viewer.browser_frame import SCENE_DEPTH, BrowserFrame, Pose, limit_turn
 from flowsplat.output.viewer.controls import Control, Controls, as_text
 from flowsplat.output.viewer.drawing import Compare, Drawing, ImageKind, Look
@@ -41,8 +40,8 @@ _MAX_ENLARGEMENT = 2
 """Times the size of the clip. Beyond that, the gaps between Gaussians are seen rather than the scene. Chosen by eye."""
 _MODE_HINT = "The input camera follows the clip. Orbit turns round the scene, fly looks about; W A S D Q E move."
 _FARTHER_HINT = "Turn and fly as far as you like: what the clip does not tell fades."
-MAX_TURN = min(SWING_ANGLES)
-"""Degrees by which the input camera is looked past to either side, half as many up and down: as far as every loop goes."""
+_DOUBLE_CLICK_SECONDS, _DOUBLE_CLICK_REACH = 0.4, 0.02
+"""Between two clicks that are one double click, and how far they may be apart, as a share of the window. Chosen by eye."""
 _MAX_OBJECTS = 16
 """Objects that can be chosen: those with the most Gaussians. Chosen by eye."""
 _DISTANCE_RANGE, _DISTANCE_STEP = (0.3, 3.0), 0.01
@@ -65,6 +64,7 @@ class Panel:
         self._browser = BrowserFrame(source.scene.similarity)
         self._session = Session(source.clip, min(largest, _MAX_ENLARGEMENT * max(source.size)))
         self._notifications = Notifications(client)
+        self._clicked = float("-inf"), (0.0, 0.0)
         self._overlays: dict[str, Any] = {}
         self._stood: deque[np.ndarray] = deque(maxlen=_KEPT_PLACES)
         counts = source.loaded.part("all").gaussians.object_counts
@@ -76,6 +76,7 @@ class Panel:
         """Stand where the clip begins, and get images from now on."""
         self._stand(self._find_input_pose(), _PIVOT_DISTANCE["orbit"])
         self.client.camera.on_update(self._follow_camera)
+        self.client.scene.on_click()(lambda event: self._follow_click(event.screen_pos))
         self._worker.add(self.client.client_id, self._session, self._show)
         self._follow_camera(self.client.camera)
 
@@ -190,10 +191,18 @@ class Panel:
             # While it plays, the browser's camera is always a little behind.
             if is_pulled and not session.clock.playing and self._session.look.compare != "wipe":
                 turn = self._browser.turn_between(self._browser.pose(self._source.path.at(session.clock.at(now))), pose)
-                session.turn = limit_turn(turn, MAX_TURN)
+                session.turn = limit_turn(turn, self._source.reach)
                 session.change(now)
         if is_pulled:
             self._stand(self._find_input_pose(), _PIVOT_DISTANCE["orbit"])
+
+    def _follow_click(self, place: tuple[float, float]) -> None:
+        """Two clicks on one place, as shares of the window, lead back to the input camera, as in the exported page."""
+        now, (before, at) = time.monotonic(), self._clicked
+        is_second = now - before <= _DOUBLE_CLICK_SECONDS and np.abs(np.subtract(place, at)).max() <= _DOUBLE_CLICK_REACH
+        self._clicked = (float("-inf") if is_second else now), place
+        if is_second and not self._is_over:
+            self._go_home()
 
     def _stand(self, pose: Pose, reach: float) -> None:
         """Bring the browser's camera to a pose, turning about a point ``reach`` ahead of it."""

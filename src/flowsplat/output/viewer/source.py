@@ -23,6 +23,8 @@ from flowsplat.gaussians.renderer import Part
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, turn_aside
 from flowsplat.output.splat_files import is_splat_file
+from flowsplat.output.videos import read_swing
+from flowsplat.output.videos.amplitudes import SWING_ANGLES
 from flowsplat.output.videos.writing import Scales
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import Tracks
@@ -44,7 +46,7 @@ class Loaded:
         return self._parts[part]
 
 
-_OF_SCENE = ("path", "_inner_path", "step", "tracks", "scales")
+_OF_SCENE = ("path", "reach", "_inner_path", "step", "tracks", "scales")
 """What is kept of a scene."""
 
 
@@ -99,6 +101,7 @@ class Source:
             model, state = read(scene)
         except InputError:
             return False  # It is being replaced at this moment: the next call finds it whole.
+        self.__dict__.pop("reach", None)  # videos may have been rendered meanwhile
         if scene is not self.scene:
             self.scene = scene
             for name in _OF_SCENE:
@@ -149,6 +152,17 @@ class Source:
     def size(self) -> tuple[int, int]:
         """(width, height) of the clip."""
         return self.scene.width, self.scene.height
+
+    @cached_property
+    def reach(self) -> float:
+        """Degrees by which the input camera may be looked past to either side, half as many up and down: as the narrowest loop of
+        the videos of this scene goes, which was measured for them; as far as every loop goes where none was, or none holds."""
+        renders = (self._run if self.scene.folder == self._run.scene_path else self._run.coarse).renders_path
+        with contextlib.suppress(InputError):
+            swing = read_swing(renders)
+            if swing is not None and swing["holds"]:
+                return float(max(swing["degrees"], min(SWING_ANGLES)))
+        return min(SWING_ANGLES)
 
     @cached_property
     def path(self) -> CameraPath:
