@@ -30,7 +30,7 @@ CAPS = (50_000, 100_000, 0)
 STEP_COUNTS = (400, 800, 3200)
 WORLDS = {"plain": range(900, 910), "crowd": range(900, 905), "dancers": range(900, 905)}
 """Seeds of random worlds by their kind. Those from 900 on decide between versions."""
-GROWTH = {"frames": (40, 80, 160, 400, 800), "pixels": (427, 640, 854)}
+GROWTH = {"frames": (100, 200, 400, 800), "pixels": (427, 640, 854)}
 """Runs of the built-in clip: so many frames of 320 pixels, and 16 frames with so many pixels of the long side."""
 MODEL_SECONDS = {"series": 110, "linear": 200, "splines": 200, "marbles": 220, "bases": 380, "deformation": 320, "hexplane": 700}
 """Estimates of a training with each model."""

@@ -233,7 +233,7 @@ def test_the_other_benchmarks_are_asked_for_their_part(data_root, tmp_path, monk
     assert do("models", "clip", "splines", 1) == ("clip_427_gaps", "splines", 1, jobs.measure_motion)
     monkeypatch.setattr(jobs.growth, "enlarge", lambda _, side, path: path)
     monkeypatch.setattr(jobs.growth, "measure", lambda case: (case.kind, case.frames, case.side))
-    assert do("growth", "frames-80", "", 0) == ("frames", 80, 320)
+    assert do("growth", "frames-200", "", 0) == ("frames", 200, 320)
     assert do("growth", "pixels-640", "", 0) == ("pixels", 16, 640)
 
 

@@ -197,6 +197,7 @@ def _ground_ends(
     if len(x) == 0:
         return False
     depth, _ = ground.depth(camera, np.stack([x, y], 1) + 0.5)
-    beyond = np.log(static[(y * static.shape[0]) // height, (x * static.shape[1]) // width]) - np.log(depth)
+    with np.errstate(invalid="ignore"):  # Neither is known where both are inf.
+        beyond = np.log(static[(y * static.shape[0]) // height, (x * static.shape[1]) // width]) - np.log(depth)
     beyond = beyond[np.isfinite(beyond)]
     return len(beyond) >= MIN_BESIDE and float(np.median(beyond)) > MAX_BEYOND_GROUND
