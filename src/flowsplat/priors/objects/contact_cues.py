@@ -31,7 +31,7 @@ MIN_BOUNDS = 8
 MAX_BOUND_STEP = 0.15
 """Change of a bound from one frame to the next, in ln, from which the two are of different things: of an object and its shadow, of
 two objects that share a number. Nobody walks or bounces that fast. Counted on twelve crowds of seeds 100 to 111, where .15 and .25
-keep the same (docs/notebook/2026-11.md, "Bounds that jump")."""
+keep nearly the same frames (docs/notebook/2026-11.md, "Bounds that jump")."""
 STEP_FRAMES = 5.0
 """Frames: standard deviation over time of what feet say about a depth trajectory; steps are shorter. Chosen by eye."""
 SUPPOSED_SIGMA, SUPPOSED_ERROR_RATE = 0.06, 0.5
