@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
 import viser
@@ -44,7 +44,7 @@ class Control:
     def visible(self, visible: bool) -> None:
         self._handle.visible = visible
 
-    def on_update(self, call: Callable[[Any], None]) -> None:
+    def on_update(self, call: Callable[[Any], Coroutine[Any, Any, None]]) -> None:
         """Call this when it was changed."""
         self._handle.on_update(call)
 
