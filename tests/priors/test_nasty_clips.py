@@ -20,6 +20,7 @@ from flowsplat.geometry.similarity import path_errors
 from flowsplat.images.blank import is_blank
 from flowsplat.priors.cameras.bundle import Reconstruction
 from flowsplat.priors.cameras.keyframes import MAX_JOINT_FRAMES, choose_keyframes, place_between
+from flowsplat.priors.cameras.observations import Observations
 from flowsplat.priors.cameras.pieces import PIECE_DISTANCE, find_breaks, join, split
 from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.options import PriorsOptions
@@ -294,22 +295,22 @@ def test_frames_between_keyframes_are_placed_exactly():
     keys = np.arange(0, 61, 6)
     viewmats = np.array([camera.viewmat for camera in cameras])
     state = Reconstruction(viewmats[keys, :3, :3], viewmats[keys, :3, 3], cameras[0].K[0, 0], np.zeros((300, 3)))
-    found, lost = place_between(keys, state, positions, seen, free_translations=True)
+    found, lost = place_between(keys, state, Observations.of(positions, seen), free_translations=True)
     assert lost == []
     np.testing.assert_allclose(found.rotations, viewmats[:, :3, :3], atol=1e-6)
     np.testing.assert_allclose(found.translations, viewmats[:, :3, 3], atol=1e-5)
     hidden = seen.copy()
     hidden[:, 3] = False
-    assert place_between(keys, state, positions, hidden, free_translations=True)[1] == [3]
+    assert place_between(keys, state, Observations.of(positions, hidden), free_translations=True)[1] == [3]
 
 
 def test_keyframes_are_closer_where_tracks_are_short():
-    assert choose_keyframes(np.ones((20, 100), bool)).tolist() == list(range(100))
+    assert choose_keyframes(Observations.of(np.zeros((20, 100, 2)))).tolist() == list(range(100))
     start = np.arange(-20, 200)
     frame = np.arange(200)
     life = np.where(start < 100, 40, 8)
     seen = (frame >= start[:, None]) & (frame < (start + life)[:, None])
-    keys = choose_keyframes(seen)
+    keys = choose_keyframes(Observations.of(np.zeros((*seen.shape, 2)), seen))
     assert (keys[0], keys[-1]) == (0, 199)
     gaps = np.diff(keys)
     assert gaps[keys[1:] < 90].mean() > 2 * gaps[(keys[:-1] > 110) & (keys[1:] < 199)].mean()
@@ -322,8 +323,8 @@ def test_breaks_split_and_pieces_are_joined_side_by_side():
     positions[:100, 4:] = np.nan
     positions[100:, :4] = np.nan
     shown = [0, 1, 2, 4, 5, 6, 7]
-    assert find_breaks(positions, shown) == [4]
-    assert find_breaks(positions[:100, :4], range(4)) == []
+    assert find_breaks(Observations.of(positions), shown) == [4]
+    assert find_breaks(Observations.of(positions[:100, :4]), range(4)) == []
     assert split(shown, [4]) == [[0, 1, 2], [4, 5, 6, 7]]
     assert split(range(6), range(1, 6)) == []
     still = [camera_at()] * 4
@@ -335,9 +336,9 @@ def test_survivors_that_move_every_way_are_no_survivors():
     rng = np.random.default_rng(0)
     positions = rng.uniform(0, 400, (200, 2, 2))
     positions[30:, 1] = np.nan
-    assert find_breaks(positions, [0, 1]) == [1]
+    assert find_breaks(Observations.of(positions), [0, 1]) == [1]
     positions[:30, 1] = positions[:30, 0] + [5, 2]
-    assert find_breaks(positions, [0, 1]) == []
+    assert find_breaks(Observations.of(positions), [0, 1]) == []
 
 
 @pytest.mark.parametrize(("make", "blank"), [(np.zeros_like, True), (lambda a: a // 100, True), (lambda a: a, False)])

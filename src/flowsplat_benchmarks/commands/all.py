@@ -28,7 +28,7 @@ def run(
         report_only: Run nothing, and write the pages of what is in OUT.
         retry_failed: Try once more what failed at this commit.
         docs: Folder of the results pages of the documentation (docs/results): they are written there, and what they are written
-            of is kept in its folder records.
+            of is kept in its folder records. What is kept there of this commit counts as done, so that another machine can go on.
         work: How the benchmark is done.
     """
     from flowsplat_benchmarks.results.benchmark import run_all

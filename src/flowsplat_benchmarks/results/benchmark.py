@@ -51,7 +51,8 @@ def run_all(
         dry_run: only list the cells, with what each takes.
         report_only: only write the pages.
         retry_failed: do those once more that failed at this commit.
-        docs: folder of the pages of the documentation: they are written there, too, and the records kept beside them.
+        docs: folder of the pages of the documentation: they are written there, too, and the records kept beside them; those of
+            this commit that are there already count as done.
         options: how many at a time, and by what.
 
     Returns:
@@ -71,6 +72,8 @@ def run_all(
     if missing:
         scenes = ", ".join(dict.fromkeys(f"{cell.needs}/{cell.scene}" for cell in missing))
         report(f"{len(missing)} cells are left out, whose scenes are not in {root}: {scenes}.")
+    if docs is not None:
+        _take_kept(chosen, out, docs / RECORDS)
     if retry_failed:
         _forget_failed(chosen, out)
     jobs = [make_measurement(cell, root, out) for cell in chosen]
@@ -110,6 +113,17 @@ def _empty(cell: Cell) -> Record:
 def _keep_failure(cell: Cell, reason: str, out: Path) -> None:
     record = replace(_empty(cell), threads=None, failure=reason)
     write_json(out / CELLS / f"{cell.name}.json", {**record.to_json(), "key": _key()})
+
+
+def _take_kept(cells: Sequence[Cell], out: Path, kept: Path) -> None:
+    """Take into ``out`` what was measured at this commit elsewhere, on another machine say, and is kept with the pages."""
+    for cell in cells:
+        there = kept / f"{cell.name}.json"
+        if not there.exists() or make_measurement(cell, Path(), out).is_measured(make_folder(out)):
+            continue
+        record = read_record(there)
+        if record.commit == describe_commit():
+            write_json(make_folder(out / CELLS) / there.name, {**record.to_json(), "key": _key()})
 
 
 def _forget_failed(cells: Sequence[Cell], out: Path) -> None:

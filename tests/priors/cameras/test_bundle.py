@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from flowsplat.priors.cameras.bundle import BundleObservations, Reconstruction, adjust, rays, residuals
+from flowsplat.priors.cameras.bundle import Reconstruction, adjust, rays, residuals
+from flowsplat.priors.cameras.observations import Observations
 from tests.priors.cameras.worlds import FOCAL, bend, centered, observed, path, state_of, world
 
 
@@ -16,7 +17,7 @@ def test_bundle_adjustment_undoes_a_perturbation():
     shifted = true.translations + rng.normal(0, 0.02, (8, 3))
     turned[0], shifted[0] = true.rotations[0], true.translations[0]
     start = Reconstruction(turned, shifted, 1.1 * FOCAL, points + rng.normal(0, 0.05, points.shape))
-    observations = BundleObservations.of(positions, seen)
+    observations = Observations.of(positions, seen)
     before, _ = residuals(start, observations)
     done = adjust(start, observations, iterations=50, scale=5.0, fixed_camera=0, tolerance=1e-12)
     after, depth = residuals(done.reconstruction, observations)
@@ -33,7 +34,7 @@ def test_bundle_adjustment_holds_what_is_fixed():
     positions, seen = centered(observed(cameras, points, 0.3))
     start = state_of(cameras, points)
     done = adjust(
-        start, BundleObservations.of(positions, seen), iterations=5, scale=1.0, fixed_camera=2, free_focal=False,
+        start, Observations.of(positions, seen), iterations=5, scale=1.0, fixed_camera=2, free_focal=False,
         free_translations=False,
     )  # fmt: skip
     assert done.reconstruction.focal == FOCAL
@@ -47,11 +48,11 @@ def test_bundle_adjustment_finds_the_distortion():
     start = state_of(cameras, points)
     flat, seen = centered(positions)
     done = adjust(
-        start, BundleObservations.of(flat, seen), iterations=50, scale=1.0, fixed_camera=0, free_distortion=True, tolerance=1e-9,
+        start, Observations.of(flat, seen), iterations=50, scale=1.0, fixed_camera=0, free_distortion=True, tolerance=1e-9,
     )  # fmt: skip
     assert done.reconstruction.distortion == pytest.approx(-0.12, rel=0.02)
     assert done.distortion_precision > 0
-    pinhole = adjust(start, BundleObservations.of(flat, seen), iterations=50, scale=1.0, fixed_camera=0, tolerance=1e-9)
+    pinhole = adjust(start, Observations.of(flat, seen), iterations=50, scale=1.0, fixed_camera=0, tolerance=1e-9)
     assert pinhole.reconstruction.distortion == 0
     assert done.cost < 0.5 * pinhole.cost
 
@@ -69,7 +70,7 @@ def test_derivatives_of_the_distorted_projection():
     uv = bend(observed(cameras, points, 0.0), 0.2)
     flat, seen = centered(uv)
     true = state_of(cameras, points)
-    observations = BundleObservations.of(flat, seen)
+    observations = Observations.of(flat, seen)
     start = Reconstruction(true.rotations, true.translations, 1.001 * FOCAL, points, distortion=0.201)
     before, _ = residuals(start, observations)
     done = adjust(
@@ -94,7 +95,7 @@ def test_far_points_do_not_hold_up_the_focal_length():
     true = Reconstruction(rotations, -np.einsum("tij,tj->ti", rotations, middles), FOCAL, points)
     # What a focal length that is 3 % off looks like once all else is adjusted to it.
     since = rng.integers(0, 11, (400, 1))
-    observations = BundleObservations.of(positions, (np.arange(20) >= since) & (np.arange(20) < since + 10))
+    observations = Observations.of(positions, (np.arange(20) >= since) & (np.arange(20) < since + 10))
     wrong = adjust(
         Reconstruction(true.rotations, true.translations, 0.97 * FOCAL, points), observations, iterations=60, scale=0.2,
         fixed_camera=6, free_focal=False, tolerance=1e-9,

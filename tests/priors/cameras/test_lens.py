@@ -6,6 +6,7 @@ import pytest
 
 from flowsplat.geometry.similarity import path_errors
 from flowsplat.priors.cameras.lens import find_lens, radial_lens
+from flowsplat.priors.cameras.observations import Observations
 from flowsplat.priors.cameras.solvers import solve
 from tests.marks import slow
 from tests.priors.cameras.worlds import FOCAL, HEIGHT, WIDTH, bend, cameras_of, observed, path, world
@@ -14,12 +15,12 @@ from tests.priors.cameras.worlds import FOCAL, HEIGHT, WIDTH, bend, cameras_of, 
 @pytest.mark.parametrize(("distortion", "travel"), [(-0.2, 1.5), slow(0.12, 1.5), slow(-0.25, 0.0)])
 def test_a_known_distortion_is_recovered(distortion, travel):
     cameras = path(16, travel)
-    positions = bend(observed(cameras, world(400), 0.1), distortion)
+    positions = Observations.of(bend(observed(cameras, world(400), 0.1), distortion))
     pinhole = solve(positions, WIDTH, HEIGHT, None, "auto")
     lens = find_lens(positions, WIDTH, HEIGHT, None, pinhole.found, None)
     assert lens.distortion.coefficients[0] == pytest.approx(distortion, rel=0.1)
     assert lens.K[0, 0] == pytest.approx(FOCAL, rel=0.06)
-    straight = solve(lens.straighten_positions(positions), WIDTH, HEIGHT, None, "auto")
+    straight = solve(positions.moved(lens.straighten_positions(positions.uv)), WIDTH, HEIGHT, None, "auto")
     errors = path_errors(cameras_of(straight.found.fit.state), cameras)
     assert errors["rotation"] < 0.3
     if travel:
@@ -31,7 +32,7 @@ def test_a_known_distortion_is_recovered(distortion, travel):
 
 @pytest.mark.parametrize("travel", [1.5, 0.0])
 def test_a_pinhole_has_no_lens(travel):
-    positions = observed(path(12, travel), world(400), 0.1)
+    positions = Observations.of(observed(path(12, travel), world(400), 0.1))
     found = solve(positions, WIDTH, HEIGHT, None, "auto").found
     assert find_lens(positions, WIDTH, HEIGHT, None, found, None) is None
 

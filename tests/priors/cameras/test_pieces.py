@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from flowsplat.priors.cameras.observations import Observations
 from flowsplat.priors.cameras.pieces import find_breaks
 from tests.priors.cameras.worlds import observed, path, world
 
@@ -11,4 +12,4 @@ def test_frames_that_nothing_joins_are_named():
     cut = np.concatenate([positions, positions])
     cut[: len(positions), 6:] = np.nan
     cut[len(positions) :, :6] = np.nan
-    assert find_breaks(cut, range(12)) == [6]
+    assert find_breaks(Observations.of(cut), range(12)) == [6]

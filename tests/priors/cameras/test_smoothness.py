@@ -9,7 +9,8 @@ import pytest
 
 from flowsplat.geometry import Camera
 from flowsplat.priors.cameras import smoothness
-from flowsplat.priors.cameras.bundle import LENS_PARAMETERS, BundleObservations, LensPrior, Reconstruction, adjust, residuals
+from flowsplat.priors.cameras.bundle import LENS_PARAMETERS, LensPrior, Reconstruction, adjust, residuals
+from flowsplat.priors.cameras.observations import Observations
 from flowsplat.priors.cameras.refinement import refine
 from flowsplat.priors.cameras.smoothness import MIN_FRAMES, SmoothnessPrior, differences, smooth_path
 from tests.priors.cameras.worlds import FOCAL, HEIGHT, WIDTH, centered, observed, path, state_of, world
@@ -25,17 +26,17 @@ def shaken(cameras: list[Camera], amount: float, seed: int = 5) -> list[Camera]:
     return result
 
 
-def solved(cameras: list[Camera], points: np.ndarray, noise: float) -> tuple[Reconstruction, BundleObservations]:
+def solved(cameras: list[Camera], points: np.ndarray, noise: float) -> tuple[Reconstruction, Observations]:
     """What the tracks alone say."""
     positions, seen = centered(observed(cameras, points, noise))
     tracks = seen.sum(1) >= 2
-    observations = BundleObservations.of(positions[tracks], seen[tracks])
+    observations = Observations.of(positions[tracks], seen[tracks])
     start = state_of(cameras, points[tracks])
     done = adjust(start, observations, iterations=30, scale=1.0, fixed_camera=0, free_focal=False, tolerance=1e-7)
     return done.reconstruction, observations
 
 
-def smooth(state: Reconstruction, observations: BundleObservations) -> Reconstruction:
+def smooth(state: Reconstruction, observations: Observations) -> Reconstruction:
     lens = LensPrior(FOCAL, 1.0)
     return smooth_path(state, observations, scale=1.0, fixed_camera=0, lens=lens, free_focal=False, free_distortion=False)
 
@@ -116,7 +117,7 @@ def test_few_frames_and_a_standing_camera_are_left_alone():
     assert smooth(state, observations) is state
     still = replace(state_of(path(12, travel=0.0), world(80)), translations=np.zeros((12, 3)))
     positions, seen = centered(observed(path(12, travel=0.0), world(80), 0.1))
-    assert smooth(still, BundleObservations.of(positions, seen)) is still
+    assert smooth(still, Observations.of(positions, seen)) is still
 
 
 def test_the_last_refinement_of_frames_that_follow_each_other_is_smooth():
@@ -125,7 +126,7 @@ def test_the_last_refinement_of_frames_that_follow_each_other_is_smooth():
     keep = seen.sum(1) >= 2
     found = [
         refine(
-            state_of(cameras, points[keep]), positions[keep], seen[keep], fixed_camera=0, expected_focal=FOCAL,
+            state_of(cameras, points[keep]), Observations.of(positions[keep], seen[keep]), fixed_camera=0, expected_focal=FOCAL,
             free_focal=False, consecutive=each,
         ).state
         for each in (False, True)

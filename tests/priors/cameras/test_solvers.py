@@ -8,18 +8,19 @@ from scipy.spatial.transform import Rotation
 
 from flowsplat.priors.cameras import solvers
 from flowsplat.priors.cameras.estimate import CameraEstimate, estimate
+from flowsplat.priors.cameras.observations import Observations
 from flowsplat.priors.cameras.solvers import find_jumps, judge, keep_back, prefer, solve
 from tests.priors.cameras.worlds import HEIGHT, WIDTH, observed, path, world
 
 
 @pytest.fixture(scope="module")
-def tracks() -> np.ndarray:
-    return observed(path(20), world(500), 0.1)
+def tracks() -> Observations:
+    return Observations.of(observed(path(20), world(500), 0.1))
 
 
 @pytest.fixture(scope="module")
 def good(tracks) -> CameraEstimate:
-    return estimate(tracks[keep_back(np.isfinite(tracks[..., 0]))[0]], WIDTH, HEIGHT, None)
+    return estimate(keep_back(tracks)[0], WIDTH, HEIGHT, None)
 
 
 def damaged(found: CameraEstimate, turn: float, frame: int) -> CameraEstimate:
@@ -34,18 +35,20 @@ def bent(found: CameraEstimate) -> CameraEstimate:
     return replace(found, fit=replace(found.fit, state=replace(found.fit.state, focal=1.4 * found.fit.state.focal)))
 
 
-def judged(found: CameraEstimate, tracks: np.ndarray) -> solvers.Judgment:
-    return judge("own", found, tracks[keep_back(np.isfinite(tracks[..., 0]))[1]], WIDTH, HEIGHT)
+def judged(found: CameraEstimate, tracks: Observations) -> solvers.Judgment:
+    return judge("own", found, keep_back(tracks)[1], WIDTH, HEIGHT)
 
 
 def test_judges_are_no_tracks_of_the_adjustment_and_few_are_left_alone():
     seen = np.ones((800, 10), bool)
     seen[::3, 2:] = False
-    used, kept = keep_back(seen)
-    assert not set(used) & set(kept)
-    assert sorted([*used, *kept]) == list(range(800))
-    assert seen[kept].sum(1).min() >= solvers.MIN_JUDGE_VIEWS
-    assert len(keep_back(seen[:60])[1]) == 0
+    numbers = np.repeat(np.arange(800.0)[:, None], 10, 1)
+    used, kept = keep_back(Observations.of(np.stack([numbers, numbers], -1), seen))
+    assert not set(used.uv[:, 0]) & set(kept.uv[:, 0])
+    assert sorted({*used.uv[:, 0], *kept.uv[:, 0]}) == list(range(800))
+    assert kept.counts.min() >= solvers.MIN_JUDGE_VIEWS
+    assert used.points + kept.points == 800
+    assert keep_back(Observations.of(np.zeros((60, 10, 2)), seen[:60]))[1].points == 0
 
 
 def test_good_cameras_are_not_poor(tracks, good):
@@ -73,8 +76,8 @@ def test_a_camera_that_looks_elsewhere_is_a_jump(good, frame):
 
 def test_jumps_are_named_by_the_frames_of_the_clip(good, tracks):
     broken = damaged(good, 91, 7)
-    kept = tracks[keep_back(np.isfinite(tracks[..., 0]))[1]]
-    numbers = [k + 30 for k in range(tracks.shape[1])]
+    kept = keep_back(tracks)[1]
+    numbers = [k + 30 for k in range(tracks.cameras)]
     plain, shifted = (judge("own", broken, kept, WIDTH, HEIGHT, frames) for frames in (None, numbers))
     assert plain.jumps
     assert shifted.jumps == [t + 30 for t in plain.jumps]

@@ -17,6 +17,10 @@ def test_the_longest_tracks_are_kept_in_their_order():
     assert table.values(4).shape == (5, 4, 1)
     table.keep_longest(3)
     values = table.values(4)[..., 0]
+    frame, track, listed = table.listed()
+    assert sorted(zip(track, frame, strict=True)) == list(zip(track, frame, strict=True))
+    np.testing.assert_array_equal(listed[:, 0], values[track, frame])
+    assert len(listed) == np.isfinite(values).sum()
     assert (np.nanmean(values, 1) == [1, 2, 3]).all()
     assert (np.isfinite(values).sum(1) == [3, 3, 3]).all()
 

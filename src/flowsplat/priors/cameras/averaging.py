@@ -19,7 +19,8 @@ from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from scipy.spatial.transform import Rotation
 
 from flowsplat.common.kernels import kernel
-from flowsplat.priors.cameras.bundle import BundleObservations, Reconstruction, adjust
+from flowsplat.priors.cameras.bundle import Reconstruction, adjust
+from flowsplat.priors.cameras.observations import Observations
 from flowsplat.priors.cameras.refinement import place_points, track_errors
 from flowsplat.priors.cameras.twoview import MIN_COMMON_TRACKS, essential, intrinsics
 
@@ -80,15 +81,15 @@ def start_by_averaging(positions: np.ndarray, seen: np.ndarray, focal: float) ->
 
 def _adjust(state: Reconstruction, positions: np.ndarray, seen: np.ndarray, scale: float) -> Reconstruction:
     """Poses after a coarse adjustment to the better tracks."""
-    points = place_points(state, positions, seen)
+    observed = Observations.of(positions, seen)
+    points = place_points(state, observed)
     placed = Reconstruction(state.rotations, state.translations, state.focal, points)
-    errors = track_errors(placed, positions, seen)
+    errors = track_errors(placed, observed)
     good = np.isfinite(errors) & (np.argsort(np.argsort(errors)) < 0.7 * len(errors))
     good |= errors <= 3 * scale
     start = Reconstruction(state.rotations, state.translations, state.focal, points[good])
     done = adjust(
-        start, BundleObservations.of(positions[good], seen[good]), iterations=15, scale=scale, fixed_camera=0, free_focal=False,
-        tolerance=1e-3,
+        start, observed.of_points(good), iterations=15, scale=scale, fixed_camera=0, free_focal=False, tolerance=1e-3,
     )  # fmt: skip
     return done.reconstruction
 

@@ -15,6 +15,7 @@ import scipy.linalg
 from scipy.spatial.transform import Rotation
 
 from flowsplat.common.kernels import kernel
+from flowsplat.priors.cameras.observations import Observations
 
 MIN_DEPTH = 1e-4
 """Depths below this are replaced by it: such an observation is an outlier and only has to stay finite."""
@@ -50,27 +51,6 @@ class Reconstruction:
     def centers(self) -> np.ndarray:
         """[T, 3] the cameras' positions in the world."""
         return -np.einsum("tji,tj->ti", self.rotations, self.translations)
-
-
-@dataclass(frozen=True)
-class BundleObservations:
-    """Which camera saw which point where, ordered by point.
-
-    Attributes:
-        camera: [M] int64.
-        point: [M] int64, not falling.
-        uv: [M, 2] float64 pixels from the principal point.
-    """
-
-    camera: np.ndarray
-    point: np.ndarray
-    uv: np.ndarray
-
-    @staticmethod
-    def of(positions: np.ndarray, seen: np.ndarray) -> BundleObservations:
-        """From positions [N, T, 2] and which of them count [N, T]."""
-        point, camera = map(np.ascontiguousarray, np.nonzero(seen))
-        return BundleObservations(camera, point, np.asarray(positions[point, camera], np.float64))
 
 
 class CameraPrior(Protocol):
@@ -124,7 +104,7 @@ class Adjusted:
 
 def adjust(
     start: Reconstruction,
-    seen: BundleObservations,
+    seen: Observations,
     *,
     iterations: int,
     scale: float,
@@ -145,7 +125,7 @@ def adjust(
         tolerance: stop when an iteration lowers the cost by less than this fraction.
     """
     count = len(start.rotations)
-    first = np.searchsorted(seen.point, np.arange(len(start.points) + 1))
+    first = seen.first
     index = free_parameters(count, fixed_camera, free_focal, free_distortion, free_translations)
     state, damping, precisions = start, 1e-4, (0.0, 0.0)
     cost = _total(state, seen, scale, priors)
@@ -200,9 +180,9 @@ def compute_scale_direction(state: Reconstruction, fixed_camera: int) -> np.ndar
     return np.einsum("tij,tj->ti", state.rotations, state.centers[fixed_camera] - state.centers)
 
 
-def information(state: Reconstruction, seen: BundleObservations, scale: float, priors: Sequence[CameraPrior]) -> np.ndarray:
+def information(state: Reconstruction, seen: Observations, scale: float, priors: Sequence[CameraPrior]) -> np.ndarray:
     """Curvature [6T + LENS_PARAMETERS, 6T + LENS_PARAMETERS] of the cost along poses and lens, once all points have adapted."""
-    first = np.searchsorted(seen.point, np.arange(len(state.points) + 1))
+    first = seen.first
     H, g, Hp, gp, cross, cross_lens = _linearize(*_plain(state, seen), scale)
     for each in priors:
         each.add_to(H, g, state)
@@ -234,18 +214,18 @@ def rays(uv: np.ndarray, focal: float, distortion: float) -> np.ndarray:
     return bent * (straight / np.maximum(far, 1e-12))
 
 
-def residuals(state: Reconstruction, seen: BundleObservations) -> tuple[np.ndarray, np.ndarray]:
+def residuals(state: Reconstruction, seen: Observations) -> tuple[np.ndarray, np.ndarray]:
     """Reprojection errors [M] in pixels and depths [M] of all observations."""
     return _reproject(*_plain(state, seen))
 
 
-def _plain(state: Reconstruction, seen: BundleObservations) -> tuple:
+def _plain(state: Reconstruction, seen: Observations) -> tuple:
     """Return what the compiled loops take."""
     lens = (state.focal, state.distortion)
     return (state.rotations, state.translations, *lens, state.points, seen.camera, seen.point, seen.uv)
 
 
-def _total(state: Reconstruction, seen: BundleObservations, scale: float, priors: Sequence[CameraPrior]) -> float:
+def _total(state: Reconstruction, seen: Observations, scale: float, priors: Sequence[CameraPrior]) -> float:
     errors, _ = residuals(state, seen)
     cost = scale**2 * float(np.log1p((errors / scale) ** 2).sum()) + sum(prior.compute_cost(state) for prior in priors)
     return cost if np.isfinite(cost) else np.inf

@@ -8,6 +8,7 @@ import numpy as np
 from flowsplat.common.progress import track
 from flowsplat.geometry.interpolation import sample_map
 from flowsplat.images.blank import is_blank
+from flowsplat.priors.cameras.observations import Observations
 from flowsplat.priors.flow import dis_flow, gray
 from flowsplat.priors.tracks import TrackTable, corner_strength, new_points, oldest_of_crowds, refine_points
 from flowsplat.priors.tracks.patches import Patches, align
@@ -68,11 +69,11 @@ def _cut_patches(image: np.ndarray, points: np.ndarray) -> Patches:
     return Patches.cut(image, np.zeros(image.shape, np.uint8), points - np.float32(0.5))
 
 
-def follow_points(scene: Scene) -> tuple[np.ndarray, list[int]]:
+def follow_points(scene: Scene) -> tuple[Observations, list[int]]:
     """Follow points from frame to frame, across frames that show nothing.
 
     Returns:
-        positions [P, T, 2] float32 in pixels of the frames (centers at +0.5), NaN where not seen; and the blank frames.
+        where points were seen, float32 in pixels of the frames (centers at +0.5); and the blank frames.
     """
     factor = min(1.0, WORKING_SIDE / max(scene.width, scene.height))
     size = (max(1, round(scene.width * factor)), max(1, round(scene.height * factor)))
@@ -103,7 +104,8 @@ def follow_points(scene: Scene) -> tuple[np.ndarray, list[int]]:
         around.add(image.astype(np.float32), fresh, t)
         table.add(t, numbers, points)
         before = image
-    return table.values(scene.num_frames) * to_frame, blank
+    frame, track_number, values = table.listed()
+    return Observations(frame, track_number, values * to_frame, table.count, scene.num_frames), blank
 
 
 def coarse_flow(before: np.ndarray, image: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 
 from flowsplat.common.kernels import kernel
-from flowsplat.priors.cameras.bundle import BundleObservations, LensPrior, Reconstruction, adjust, rays, residuals
+from flowsplat.priors.cameras.bundle import LensPrior, Reconstruction, adjust, rays, residuals
+from flowsplat.priors.cameras.observations import Observations
 from flowsplat.priors.cameras.twoview import Pair, intrinsics, relative_pose
 
 MIN_POINTS = 10
@@ -32,12 +33,11 @@ class Model:
     origin: int
 
 
-def triangulate(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Return points [N, 3] by linear triangulation from all views in ``seen`` [N, T]; positions from the principal point."""
+def triangulate(state: Reconstruction, seen: Observations) -> np.ndarray:
+    """Return points [N, 3] by linear triangulation from all that saw them, in pixels from the principal point."""
     matrices = np.concatenate([state.rotations, state.translations[:, :, None]], 2)
-    point, camera = map(np.ascontiguousarray, np.nonzero(seen))
-    directions = rays(positions[point, camera], state.focal, state.distortion)
-    h = np.linalg.eigh(_normal_equations(matrices, directions, camera, point, len(seen)))[1][:, :, 0]
+    directions = rays(seen.uv, state.focal, state.distortion)
+    h = np.linalg.eigh(_normal_equations(matrices, directions, seen.camera, seen.point, seen.points))[1][:, :, 0]
     return h[:, :3] / np.where(np.abs(h[:, 3:]) < 1e-9, 1e-9, h[:, 3:])
 
 
@@ -70,9 +70,9 @@ def renew_points(model: Model, positions: np.ndarray, seen: np.ndarray, limit: f
     """Triangulate every track anew and judge which points are solid: seen twice, reprojecting within ``limit``, with parallax."""
     views = seen & model.placed
     state = model.state
-    points = triangulate(state, positions, views)
+    observed = Observations.of(positions, views)
+    points = triangulate(state, observed)
     state = Reconstruction(state.rotations, state.translations, state.focal, points)
-    observed = BundleObservations.of(positions, views)
     error, depth = residuals(state, observed)
     bad = np.bincount(observed.point, (error > limit) | (depth <= 1e-3), len(points))
     counts = views.sum(1)
@@ -100,7 +100,7 @@ def adjust_model(
         return np.inf
     done = adjust(
         part,
-        BundleObservations.of(positions[np.ix_(tracks, frames)], views),
+        Observations.of(positions[np.ix_(tracks, frames)], views),
         iterations=iterations,
         scale=scale,
         fixed_camera=int(np.searchsorted(frames, model.origin)),

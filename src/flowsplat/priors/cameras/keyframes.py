@@ -9,6 +9,7 @@ from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import rigid
 from flowsplat.geometry.paths import CameraPath
 from flowsplat.priors.cameras.bundle import MIN_DEPTH, Reconstruction
+from flowsplat.priors.cameras.observations import Observations
 from flowsplat.priors.cameras.refinement import track_errors, with_points
 
 MAX_JOINT_FRAMES = 120
@@ -32,52 +33,56 @@ INLIER_PIXELS = 1.0
 """Pixels by which a point may miss its track to serve other frames. Chosen by eye."""
 
 
-def choose_keyframes(seen: np.ndarray, most: int = MAX_JOINT_FRAMES, widest: int = MAX_KEYFRAME_GAP) -> np.ndarray:
+def choose_keyframes(seen: Observations, most: int = MAX_JOINT_FRAMES, widest: int = MAX_KEYFRAME_GAP) -> np.ndarray:
     """Rising frame numbers, the first and the last among them: all frames of a clip that is not long.
 
     Args:
-        seen: [N, T] which track is seen in which frame.
+        seen: the tracks in all frames.
         most: keyframes, where their overlap allows it.
         widest: frames between two of them, at most.
     """
-    count = seen.shape[1]
+    count = seen.cameras
     keys = list(range(count))
+    tracks = [seen.point[rows] for rows in seen.by_camera()]
     for overlap in KEYFRAME_OVERLAPS:
         if len(keys) <= most:
             break
         keys = [0]
         while keys[-1] < count - 1:
             last = keys[-1]
-            ahead = seen[seen[:, last], last + 1 : last + 1 + widest].mean(0) if seen[:, last].any() else np.zeros(1)
+            here = np.zeros(seen.points, bool)
+            here[tracks[last]] = True
+            ahead = np.array([here[each].sum() for each in tracks[last + 1 : last + 1 + widest]]) / max(len(tracks[last]), 1)
             keys.append(last + max(1, int(np.argmin(np.append(ahead >= overlap, False)))))
     return np.array(keys)
 
 
 def place_between(
-    keys: np.ndarray, state: Reconstruction, positions: np.ndarray, seen: np.ndarray, *, free_translations: bool
+    keys: np.ndarray, state: Reconstruction, seen: Observations, *, free_translations: bool
 ) -> tuple[Reconstruction, list[int]]:
     """Poses for all frames from those of the keyframes, and the frames that saw too little and are interpolated.
 
     Args:
         keys: [K] the keyframes, the first and the last frame among them.
         state: the poses of the keyframes; its points do not count.
-        positions: [N, T, 2] pixels from the principal point.
-        seen: [N, T].
+        seen: the tracks in all frames, in pixels from the principal point.
     """
-    count = seen.shape[1]
-    often = seen[:, keys].sum(1) >= 2
-    positions, seen = positions[often], seen[often]
-    state = with_points(state, positions[:, keys], seen[:, keys], free_translations=free_translations)
-    solid = track_errors(state, positions[:, keys], seen[:, keys]) < INLIER_PIXELS
+    count = seen.cameras
+    at_keys = seen.of_cameras(keys)
+    often = at_keys.counts >= 2
+    seen, at_keys = seen.of_points(often), at_keys.of_points(often)
+    state = with_points(state, at_keys, free_translations=free_translations)
+    solid = track_errors(state, at_keys) < INLIER_PIXELS
     viewmats = between(keys, state.rotations, state.translations, count)
     viewmats[keys, :3, :3], viewmats[keys, :3, 3] = state.rotations, state.translations
-    lost = []
+    lost, here = [], seen.where(solid[seen.point])
+    rows = here.by_camera()
     for t in np.setdiff1d(np.arange(count), keys):
-        tracks = np.flatnonzero(seen[:, t] & solid)
+        tracks = here.point[rows[t]]
         if len(tracks) < MIN_POINTS:
             lost.append(int(t))
             continue
-        viewmats[t] = _resect(viewmats[t], state.points[tracks], positions[tracks, t], state.focal, free_translations)
+        viewmats[t] = _resect(viewmats[t], state.points[tracks], here.uv[rows[t]], state.focal, free_translations)
     return Reconstruction(viewmats[:, :3, :3], viewmats[:, :3, 3], state.focal, state.points), lost
 
 

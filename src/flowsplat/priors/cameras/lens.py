@@ -9,7 +9,8 @@ import numpy as np
 
 from flowsplat.geometry.lens import Distortion, Lens
 from flowsplat.priors.cameras.estimate import NEGLIGIBLE_MISFIT, SIMPLER_MISFIT_RATIO, CameraEstimate
-from flowsplat.priors.cameras.refinement import from_middle, misfit, refine
+from flowsplat.priors.cameras.observations import Observations
+from flowsplat.priors.cameras.refinement import misfit, refine
 from flowsplat.priors.cameras.selection import choose_tracks
 
 TRACKS_PER_CELL = 20
@@ -31,34 +32,32 @@ def radial_lens(focal: float, k1: float, width: float, height: float) -> Lens:
 
 
 def find_lens(
-    positions: np.ndarray, width: float, height: float, focal: float | None, found: CameraEstimate, start: Lens | None
+    seen: Observations, width: float, height: float, focal: float | None, found: CameraEstimate, start: Lens | None
 ) -> Lens | None:
     """Return the lens that the cameras of ``found`` leave to be explained; None where there is none, or where it does not show.
 
     Args:
-        positions: [N, T, 2] pixels as they came, NaN where not seen.
+        seen: in pixels of the frames as they came.
         focal: pixels, where it is known.
         found: cameras of the same frames.
         start: the lens that was taken out before these were found.
     """
     if found.motion not in ("free", "rotation"):
         return None
-    seen = np.isfinite(positions[..., 0])
-    chosen = choose_tracks(positions, seen, width, height, TRACKS_PER_CELL)
+    chosen = choose_tracks(seen, width, height, TRACKS_PER_CELL)
     if len(chosen) == 0:
         return None
-    seen = seen[chosen]
-    centered = from_middle(positions[chosen], seen, width, height)
+    centered = seen.of_points(chosen).from_middle(width, height)
     state = found.fit.state
     if start is not None:
         state = replace(state, focal=state.focal / start.zoom, distortion=start.distortion.coefficients[0])
     known = partial(refine, fixed_camera=0, expected_focal=focal or state.focal, free_focal=focal is None, free_distortion=True)
     # A lens that bends a turning camera's images looks like a camera that moves, so both are asked.
     turned = replace(state, translations=np.zeros_like(state.translations))
-    fit = known(turned, centered, seen, free_translations=False)
+    fit = known(turned, centered, free_translations=False)
     if found.motion == "free":
-        moved = known(state, centered, seen)
-        turning, moving = misfit(fit.state, centered, seen, free_translations=False), misfit(moved.state, centered, seen)
+        moved = known(state, centered)
+        turning, moving = misfit(fit.state, centered, free_translations=False), misfit(moved.state, centered)
         fit = fit if turning + NEGLIGIBLE_MISFIT <= SIMPLER_MISFIT_RATIO * (moving + NEGLIGIBLE_MISFIT) else moved
     try:
         lens = radial_lens(fit.state.focal, fit.state.distortion, width, height)

@@ -10,6 +10,7 @@ import numpy as np
 
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath
+from flowsplat.priors.cameras.observations import Observations
 
 MIN_SURVIVORS = 0.1
 """Share of points that survive from one frame to the next, below which there is a break. Chosen by eye."""
@@ -25,20 +26,20 @@ PIECE_DISTANCE = 100.0
 """Median distances between the worlds of two pieces, set side by side: no camera sees into the next one. Chosen by eye."""
 
 
-def find_breaks(positions: np.ndarray, shown: Sequence[int]) -> list[int]:
+def find_breaks(seen: Observations, shown: Sequence[int]) -> list[int]:
     """Return the frames that share hardly a track with the last one before them that shows anything.
 
     Args:
-        positions: [N, T, 2] pixels, NaN where not seen.
+        seen: the tracks, in pixels.
         shown: the frames that are not blank.
     """
-    seen = np.isfinite(positions[..., 0])
-    return [b for a, b in pairwise(shown) if _is_torn(positions, seen, a, b)]
+    rows = seen.by_camera()
 
+    def is_torn(a: int, b: int) -> bool:
+        _, before, after = np.intersect1d(seen.point[rows[a]], seen.point[rows[b]], assume_unique=True, return_indices=True)
+        return are_torn(seen.uv[rows[a][before]], seen.uv[rows[b][after]], len(rows[a]))
 
-def _is_torn(positions: np.ndarray, seen: np.ndarray, a: int, b: int) -> bool:
-    both = seen[:, a] & seen[:, b]
-    return are_torn(positions[both, a], positions[both, b], int(seen[:, a].sum()))
+    return [b for a, b in pairwise(shown) if is_torn(a, b)]
 
 
 def are_torn(a: np.ndarray, b: np.ndarray, count: int) -> bool:

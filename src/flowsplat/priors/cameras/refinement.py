@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flowsplat.priors.cameras.bundle import USUAL_DISTORTION, BundleObservations, LensPrior, Reconstruction, adjust, rays, residuals
+from flowsplat.priors.cameras.bundle import USUAL_DISTORTION, LensPrior, Reconstruction, adjust, rays, residuals
 from flowsplat.priors.cameras.growth import triangulate
+from flowsplat.priors.cameras.observations import Observations
 from flowsplat.priors.cameras.smoothness import smooth_path
 
 MAX_POINT_DEPTH = 100.0
@@ -52,55 +53,42 @@ class Refined:
     distortion_sigma: float = float("inf")
 
 
-def from_middle(positions: np.ndarray, seen: np.ndarray, width: float, height: float) -> np.ndarray:
-    """Return positions [N, T, 2] as float64 from the middle of the image, and without NaN where they are not ``seen`` [N, T]."""
-    return np.where(seen[..., None], positions, 0).astype(np.float64) - [width / 2, height / 2]
-
-
-def with_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray, *, free_translations: bool) -> Reconstruction:
+def with_points(state: Reconstruction, seen: Observations, *, free_translations: bool) -> Reconstruction:
     """Return the cameras with a point for each track: ``place_points`` where they may travel, else ``ray_points``."""
     place = place_points if free_translations else ray_points
-    return replace(state, points=place(state, positions, seen))
+    return replace(state, points=place(state, seen))
 
 
-def place_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def place_points(state: Reconstruction, seen: Observations) -> np.ndarray:
     """Triangulated points [N, 3]; those that come out behind a camera or too far away are put far out on their ray."""
-    points = triangulate(state, positions, seen)
-    observed = BundleObservations.of(positions, seen)
-    _, depth = residuals(replace(state, points=points), observed)
+    points = triangulate(state, seen)
+    _, depth = residuals(replace(state, points=points), seen)
     median = float(np.median(depth[depth > 0])) if (depth > 0).any() else 1.0
-    nearest, farthest = np.full(len(seen), np.inf), np.zeros(len(seen))
-    np.minimum.at(nearest, observed.point, depth)
-    np.maximum.at(farthest, observed.point, depth)
-    lost = np.flatnonzero(((nearest <= 1e-3 * median) | (farthest > MAX_POINT_DEPTH * median)) & seen.any(1))
-    middle = _middle_view(seen[lost])
-    directions = rays(positions[lost, middle], state.focal, state.distortion)
+    nearest, farthest = np.full(seen.points, np.inf), np.zeros(seen.points)
+    np.minimum.at(nearest, seen.point, depth)
+    np.maximum.at(farthest, seen.point, depth)
+    lost = np.flatnonzero((nearest <= 1e-3 * median) | (farthest > MAX_POINT_DEPTH * median))
+    half_way = seen.first[lost] + (seen.counts[lost] + 1) // 2 - 1
+    middle = seen.camera[half_way]
+    directions = rays(seen.uv[half_way], state.focal, state.distortion)
     ends = np.concatenate([directions, np.ones((len(lost), 1))], 1) * MAX_POINT_DEPTH * median
     points[lost] = np.einsum("nji,nj->ni", state.rotations[middle], ends - state.translations[middle])
     return points
 
 
-def _middle_view(seen: np.ndarray) -> np.ndarray:
-    """Return [N] a frame half-way through each track."""
-    order = np.cumsum(seen, 1)
-    return (order >= (order[:, -1:] + 1) // 2).argmax(1)
-
-
-def track_errors(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def track_errors(state: Reconstruction, seen: Observations) -> np.ndarray:
     """Return [N] pixels: root mean square reprojection error of each track, infinite where it lies behind a camera."""
-    observed = BundleObservations.of(positions, seen)
-    error, depth = residuals(state, observed)
-    squares = np.bincount(observed.point, np.where(depth > 0, error**2, np.inf), len(seen))
-    return np.sqrt(squares / np.maximum(seen.sum(1), 1))
+    error, depth = residuals(state, seen)
+    squares = np.bincount(seen.point, np.where(depth > 0, error**2, np.inf), seen.points)
+    return np.sqrt(squares / np.maximum(seen.counts, 1))
 
 
-def ray_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def ray_points(state: Reconstruction, seen: Observations) -> np.ndarray:
     """Return points [N, 3] at distance 1 in the mean direction of each track's rays, for cameras that share one center."""
-    observed = BundleObservations.of(positions, seen)
-    flat = rays(observed.uv, state.focal, state.distortion)
+    flat = rays(seen.uv, state.focal, state.distortion)
     unit = np.concatenate([flat, np.ones((len(flat), 1))], 1) / np.sqrt(1 + (flat**2).sum(1, keepdims=True))
-    unit = np.einsum("mji,mj->mi", state.rotations[observed.camera], unit)
-    points = np.stack([np.bincount(observed.point, unit[:, k], len(seen)) for k in range(3)], 1)
+    unit = np.einsum("mji,mj->mi", state.rotations[seen.camera], unit)
+    points = np.stack([np.bincount(seen.point, unit[:, k], seen.points) for k in range(3)], 1)
     return points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-12)
 
 
@@ -111,9 +99,9 @@ def _with_others(state: Reconstruction, tracks: np.ndarray, points: np.ndarray) 
     return replace(state, points=result)
 
 
-def robust_errors(state: Reconstruction, observed: BundleObservations) -> tuple[np.ndarray, np.ndarray]:
+def robust_errors(state: Reconstruction, seen: Observations) -> tuple[np.ndarray, np.ndarray]:
     """Errors [M] in pixels, ``MAX_ERROR`` at most, and their cost [M] without unit."""
-    error, depth = residuals(state, observed)
+    error, depth = residuals(state, seen)
     error = np.where(depth > 0, np.minimum(error, MAX_ERROR), MAX_ERROR)
     return error, np.log1p((error / ERROR_UNIT) ** 2)
 
@@ -124,23 +112,21 @@ def best_tracks(costs: np.ndarray, counts: np.ndarray) -> np.ndarray:
     return order[np.cumsum(counts[order]) <= STATIC_SHARE * counts.sum()]
 
 
-def misfit(state: Reconstruction, positions: np.ndarray, seen: np.ndarray, *, free_translations: bool = True) -> float:
+def misfit(state: Reconstruction, seen: Observations, *, free_translations: bool = True) -> float:
     """Return how badly the cameras explain the tracks they explain best, a ``STATIC_SHARE`` of the observations.
 
     Assumes that most of what is seen stands still. A mean robust cost without unit, comparable between cameras for the
     same tracks, whatever tracks each of them was fitted to.
     """
-    observed = BundleObservations.of(positions, seen)
-    _, cost = robust_errors(with_points(state, positions, seen, free_translations=free_translations), observed)
-    totals, counts = np.bincount(observed.point, cost, len(seen)), seen.sum(1)
+    _, cost = robust_errors(with_points(state, seen, free_translations=free_translations), seen)
+    totals, counts = np.bincount(seen.point, cost, seen.points), seen.counts
     best = best_tracks(totals, counts)
     return float(totals[best].sum() / max(counts[best].sum(), 1))
 
 
 def refine(
     state: Reconstruction,
-    positions: np.ndarray,
-    seen: np.ndarray,
+    seen: Observations,
     *,
     fixed_camera: int,
     expected_focal: float,
@@ -155,25 +141,24 @@ def refine(
 
     Args:
         state: poses to start from.
-        positions: [N, T, 2] pixels from the principal point.
-        seen: [N, T].
+        seen: the tracks, in pixels from the principal point.
         expected_focal: pixels; decides where the tracks leave the focal length open.
         free_distortion: estimate the distortion of the lens, too.
         keep_points: start from the points of ``state`` instead of triangulating them.
         rough: from a first guess, only as far as is needed to compare these cameras with others.
         consecutive: the frames follow each other, so that the path is smoothed at the end, as far as the tracks leave it open.
     """
-    static = np.zeros(len(seen), bool)
+    static = np.zeros(seen.points, bool)
     precision = bend_precision = 0.0
     rounds = ROUGH_SCALES if rough else LATE_SCALES
     for number, scale in enumerate(rounds):
         if number > 0 or not keep_points:
-            state = with_points(state, positions, seen, free_translations=free_translations)
-        static = _find_consistent(track_errors(state, positions, seen), scale)
+            state = with_points(state, seen, free_translations=free_translations)
+        static = _find_consistent(track_errors(state, seen), scale)
         tracks = np.flatnonzero(static)
         if len(tracks) == 0:
             break
-        observed = BundleObservations.of(positions[tracks], seen[tracks])
+        observed = seen.of_points(tracks)
         prior = LensPrior(expected_focal, _prior_weight(replace(state, points=state.points[tracks]), observed, scale))
         done = adjust(
             replace(state, points=state.points[tracks]), observed, scale=scale, fixed_camera=fixed_camera,
@@ -185,7 +170,7 @@ def refine(
         precision = max(done.focal_precision - prior.weight, 0.0)
         bend_precision = max(done.distortion_precision - prior.weight / USUAL_DISTORTION**2, 0.0)
     tracks = np.flatnonzero(static)
-    observed = BundleObservations.of(positions[tracks], seen[tracks])
+    observed = seen.of_points(tracks)
     if consecutive and free_translations and len(tracks):
         smooth = smooth_path(
             replace(state, points=state.points[tracks]), observed, scale=rounds[-1], fixed_camera=fixed_camera, lens=prior,
@@ -206,7 +191,7 @@ def _find_consistent(errors: np.ndarray, scale: float) -> np.ndarray:
     return errors <= limit
 
 
-def _prior_weight(state: Reconstruction, observed: BundleObservations, scale: float) -> float:
+def _prior_weight(state: Reconstruction, observed: Observations, scale: float) -> float:
     """Weight of the expected focal length: a wrong factor of e costs as much as a twentieth of all residuals.
 
     Lens distortion and drifting tracks change the cost by about that much, so less is no evidence about the focal length.

@@ -4,29 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
+from flowsplat.priors.cameras.observations import Observations
+
 CELL_GRID = (8, 6)
 """Columns and rows of the cells that tracks are spread over. Chosen by eye."""
 RIM_WIDTH = 1 / 12
 """Of the image's width and height: an object of 70 % of the image in its middle leaves the rim free."""
 
 
-def choose_tracks(
-    positions: np.ndarray, seen: np.ndarray, width: float, height: float, per_cell: int, shortest: int = 3
-) -> np.ndarray:
+def choose_tracks(seen: Observations, width: float, height: float, per_cell: int, shortest: int = 3) -> np.ndarray:
     """Return indices of tracks, longest first, until every cell of every frame holds about ``per_cell`` of them.
 
     Args:
-        positions: [N, T, 2] pixels of the frames.
-        seen: [N, T].
+        seen: in pixels of the frames.
         shortest: frames that a track must have been seen in.
     """
-    lengths = seen.sum(1)
-    track, frame = np.nonzero(seen)
-    where = positions[track, frame] / [width, height] * CELL_GRID
+    lengths, first = seen.counts, seen.first
+    where = seen.uv / [width, height] * CELL_GRID
     column, row = np.clip(where.astype(int), 0, np.array(CELL_GRID) - 1).T
-    cell = (frame * CELL_GRID[1] + row) * CELL_GRID[0] + column
-    first = np.searchsorted(track, np.arange(len(seen) + 1))
-    room = np.full(seen.shape[1] * CELL_GRID[0] * CELL_GRID[1], per_cell)
+    cell = (seen.camera * CELL_GRID[1] + row) * CELL_GRID[0] + column
+    room = np.full(seen.cameras * CELL_GRID[0] * CELL_GRID[1], per_cell)
     chosen = []
     for n in np.argsort(-lengths, kind="stable"):
         if lengths[n] < shortest:
@@ -38,11 +35,12 @@ def choose_tracks(
     return np.sort(np.array(chosen, int))
 
 
-def on_rim(positions: np.ndarray, width: float, height: float) -> np.ndarray:
-    """Return [N, T] bool: observations within ``RIM_WIDTH`` of the image's border.
+def on_rim(seen: Observations, width: float, height: float) -> np.ndarray:
+    """Return [M] bool: observations, in pixels of the frames, within ``RIM_WIDTH`` of the image's border."""
+    place = seen.uv / [width, height]
+    return np.any((place < RIM_WIDTH) | (place > 1 - RIM_WIDTH), axis=-1)
 
-    Args:
-        positions: [N, T, 2] pixels of the frames, NaN where not seen.
-    """
-    place = np.nan_to_num(positions) / [width, height]
-    return ((place < RIM_WIDTH) | (place > 1 - RIM_WIDTH)).any(-1) & np.isfinite(positions[..., 0])
+
+def mostly_on_rim(seen: Observations, width: float, height: float) -> np.ndarray:
+    """Return [N] bool: tracks of which more than half of the observations are ``on_rim``."""
+    return np.bincount(seen.point, on_rim(seen, width, height), seen.points) > 0.5 * seen.counts

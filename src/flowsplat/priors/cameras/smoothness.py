@@ -15,7 +15,6 @@ import numpy as np
 
 from flowsplat.priors.cameras.bundle import (
     LENS_PARAMETERS,
-    BundleObservations,
     LensPrior,
     Reconstruction,
     adjust,
@@ -24,6 +23,7 @@ from flowsplat.priors.cameras.bundle import (
     information,
     residuals,
 )
+from flowsplat.priors.cameras.observations import Observations
 
 THIRD_DIFFERENCE = np.array([-1.0, 3.0, -3.0, 1.0])
 """Third ones over time, of the camera's places: a steady curve, as round something, has none to speak of."""
@@ -65,7 +65,7 @@ class SmoothnessPrior:
 
 
 def smooth_path(
-    state: Reconstruction, seen: BundleObservations, *, scale: float, fixed_camera: int, lens: LensPrior, free_focal: bool,
+    state: Reconstruction, seen: Observations, *, scale: float, fixed_camera: int, lens: LensPrior, free_focal: bool,
     free_distortion: bool,
 ) -> Reconstruction:  # fmt: skip
     """Adjusted cameras and points once more, with the prior on their path.

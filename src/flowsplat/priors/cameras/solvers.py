@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from flowsplat.priors.cameras.bundle import BundleObservations
 from flowsplat.priors.cameras.checks import LARGE_ERROR, MIN_STATIC_SHARE
 from flowsplat.priors.cameras.estimate import CameraEstimate, estimate, estimate_static
+from flowsplat.priors.cameras.observations import Observations
 from flowsplat.priors.cameras.pieces import MIN_TRACKS
-from flowsplat.priors.cameras.refinement import best_tracks, from_middle, robust_errors, with_points
-from flowsplat.priors.cameras.selection import on_rim
+from flowsplat.priors.cameras.refinement import best_tracks, robust_errors, with_points
+from flowsplat.priors.cameras.selection import mostly_on_rim
 
 JUDGE_STRIDE = 8
 """Every how many of the longer tracks one is kept from the adjustments (docs/method/cameras.md)."""
@@ -103,32 +103,30 @@ class Solved:
 
 
 def solve(
-    positions: np.ndarray, width: float, height: float, focal: float | None, solver: str, frames: Sequence[int] | None = None,
+    seen: Observations, width: float, height: float, focal: float | None, solver: str, frames: Sequence[int] | None = None,
     still: bool = False,
 ) -> Solved:  # fmt: skip
     """Return cameras of one piece of a clip.
 
     Args:
-        positions: [N, T, 2] pixels, NaN where not seen.
+        seen: the tracks, in pixels of the frames.
         focal: pixels, where it is known.
         solver: ``own`` (frame after frame), ``global`` (all at once), or ``auto``: the first, and where its cameras look
             bad the second, of which the better is taken.
         frames: their numbers in the clip, where some are left out.
         still: the images say that the camera stands still: no other is looked for.
     """
-    used, kept_back = keep_back(np.isfinite(positions[..., 0]))
-
-    judges = positions[kept_back]
-    rim = judges[on_rim(judges, width, height).sum(1) > 0.5 * np.isfinite(judges[..., 0]).sum(1)]
+    used, judges = keep_back(seen)
+    rim = judges.of_points(mostly_on_rim(judges, width, height))
     name = "own" if solver == "auto" else solver
     if still:
-        standing = estimate_static(positions[used], width, height, focal)
+        standing = estimate_static(used, width, height, focal)
         return Solved(standing, [judge(name, standing, rim if standing.surrounds else judges, width, height, frames)])
-    first = estimate(positions[used], width, height, focal, name)
+    first = estimate(used, width, height, focal, name)
     judgment = judge(name, first, rim if first.surrounds else judges, width, height, frames)
     if solver != "auto" or not judgment.poor:
         return Solved(first, [judgment])
-    second = estimate(positions[used], width, height, focal, "global")
+    second = estimate(used, width, height, focal, "global")
     # Where something in front fills the image, what is seen along the rim judges either.
     judges = rim if first.surrounds or second.surrounds else judges
     found = {name: judge(name, cameras, judges, width, height, frames) for name, cameras in (("own", first), ("global", second))}
@@ -144,31 +142,27 @@ def prefer(second: Judgment, first: Judgment) -> bool:
     return second.cost < MAX_COST_RATIO * first.cost
 
 
-def keep_back(seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return indices of the tracks to adjust to, and of those that judge; none of these where tracks are few.
-
-    Args:
-        seen: [N, T].
-    """
-    longer = np.flatnonzero(seen.sum(1) >= MIN_JUDGE_VIEWS)
+def keep_back(seen: Observations) -> tuple[Observations, Observations]:
+    """Return the tracks to adjust to, and those that judge; none of these where tracks are few."""
+    longer = np.flatnonzero(seen.counts >= MIN_JUDGE_VIEWS)
     kept = longer[JUDGE_STRIDE // 2 :: JUDGE_STRIDE]
     if len(kept) < MIN_JUDGES:
         kept = kept[:0]
-    return np.setdiff1d(np.arange(len(seen)), kept), kept
+    return seen.of_points(np.setdiff1d(np.arange(seen.points), kept)), seen.of_points(kept)
 
 
 def judge(
-    name: str, found: CameraEstimate, positions: np.ndarray, width: float, height: float, frames: Sequence[int] | None = None
+    name: str, found: CameraEstimate, seen: Observations, width: float, height: float, frames: Sequence[int] | None = None
 ) -> Judgment:
     """Return what tracks that no adjustment has seen say about cameras, and whether the path is possible.
 
     A track's point is placed from every second frame that saw it and judged in the others.
 
     Args:
-        positions: [N, T, 2] pixels of the kept-back tracks, NaN where not seen.
+        seen: the kept-back tracks, in pixels of the frames.
         frames: their numbers in the clip, where some are left out.
     """
-    pixels, cost = _heldout_errors(found, positions, width, height)
+    pixels, cost = _heldout_errors(found, seen, width, height)
     jumps = find_jumps(found, frames) if found.motion in ("free", "rotation") else []
     jumps = jumps if frames is None else [int(frames[t]) for t in jumps]
     faults = _faults(found, width)
@@ -177,17 +171,16 @@ def judge(
     return Judgment(name, pixels, cost, jumps, faults, poor and found.motion != "unknown")
 
 
-def _heldout_errors(found: CameraEstimate, positions: np.ndarray, width: float, height: float) -> tuple[float | None, float]:
+def _heldout_errors(found: CameraEstimate, seen: Observations, width: float, height: float) -> tuple[float | None, float]:
     """Return the median error in pixels of the observations that fit best, and their mean robust cost."""
-    seen = np.isfinite(positions[..., 0])
-    if len(seen) < MIN_TRACKS:
+    if seen.points < MIN_TRACKS:
         return None, 0.0
-    centered = from_middle(positions, seen, width, height)
-    odd = np.cumsum(seen, 1) % 2 == 1
-    state = with_points(found.fit.state, centered, seen & odd, free_translations=found.motion == "free")
-    observed = BundleObservations.of(centered, seen & ~odd)
+    centered = seen.from_middle(width, height)
+    places = (np.arange(len(seen)) - seen.first[seen.point]) % 2 == 0
+    state = with_points(found.fit.state, centered.where(places), free_translations=found.motion == "free")
+    observed = centered.where(~places)
     error, cost = robust_errors(state, observed)
-    best = best_tracks(np.bincount(observed.point, cost, len(seen)), (seen & ~odd).sum(1))
+    best = best_tracks(np.bincount(observed.point, cost, observed.points), observed.counts)
     judged = np.isin(observed.point, best)
     if not judged.any():
         return None, 0.0

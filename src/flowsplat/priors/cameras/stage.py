@@ -16,6 +16,7 @@ from flowsplat.priors.cameras.checks import Gaps, verdict
 from flowsplat.priors.cameras.estimate import CameraEstimate
 from flowsplat.priors.cameras.following import WORKING_SIDE, follow_points
 from flowsplat.priors.cameras.lens import find_lens
+from flowsplat.priors.cameras.observations import Observations
 from flowsplat.priors.cameras.pieces import find_breaks, join, split
 from flowsplat.priors.cameras.solvers import Solved, solve
 from flowsplat.priors.cameras.still import stands_still
@@ -103,7 +104,7 @@ class _Tracks:
     """What was followed.
 
     Attributes:
-        positions: [N, T, 2] in pixels of the working size; NaN where a point was not seen.
+        seen: in pixels of the working size.
         pieces: the frames of every piece.
         still: of every piece, whether its images say that the camera stands still.
         blank: frames in which nothing can be followed.
@@ -111,7 +112,7 @@ class _Tracks:
         unit: pixels of the prepared frames in one of the working size. Thresholds are in pixels of the latter.
     """
 
-    positions: np.ndarray
+    seen: Observations
     pieces: list[list[int]]
     still: list[bool]
     blank: list[int]
@@ -124,15 +125,15 @@ class _Tracks:
         """Which piece has the most frames."""
         return int(np.argmax([len(frames) for frames in self.pieces]))
 
-    def of_piece(self, number: int) -> np.ndarray:
-        """Return [M, frames, 2] of the tracks that were seen more than once in a piece."""
-        positions = self.positions[:, self.pieces[number]]
-        return positions[np.isfinite(positions[..., 0]).sum(1) >= min(2, positions.shape[1])]
+    def of_piece(self, number: int) -> Observations:
+        """Return the tracks that were seen more than once in a piece."""
+        seen = self.seen.of_cameras(np.array(self.pieces[number]))
+        return seen.of_points(seen.counts >= min(2, seen.cameras))
 
     def solve(self, solver: str, focal: float | None, lens: Lens | None = None) -> list[Solved]:
         """Return the cameras of every piece, once the lens is taken out."""
         if lens is not None:
-            straight = replace(self, positions=lens.straighten_positions(self.positions))
+            straight = replace(self, seen=self.seen.moved(lens.straighten_positions(self.seen.uv)))
             return straight.solve(solver, None if focal is None else focal * lens.zoom)
         return [
             solve(self.of_piece(k), self.width, self.height, focal, solver, frames, still)
@@ -146,14 +147,15 @@ def _follow(scene: Scene) -> _Tracks:
     followed, blank = follow_points(scene)
     overlay = scene.overlay
     if overlay is not None:
-        followed[look_up_mask(overlay, followed)] = np.nan
+        followed = followed.where(~look_up_mask(overlay, followed.uv))
     shown = [t for t in range(scene.num_frames) if t not in set(blank)]
-    pieces = split(shown, find_breaks(followed / unit, shown))
-    positions = _off_objects(scene, followed) / unit
+    pieces = split(shown, find_breaks(followed.moved(followed.uv / unit), shown))
+    resting = _off_objects(scene, followed)
+    seen = resting.moved(resting.uv / unit)
     if not pieces:
-        pieces, positions = [list(range(scene.num_frames))], positions[:0]
+        pieces, seen = [list(range(scene.num_frames))], seen.of_points(np.zeros(0, int))
     still = [stands_still(scene, frames) for frames in pieces]
-    return _Tracks(positions, pieces, still, blank, scene.width / unit, scene.height / unit, unit)
+    return _Tracks(seen, pieces, still, blank, scene.width / unit, scene.height / unit, unit)
 
 
 def _description(
@@ -199,29 +201,29 @@ def _description(
 
 def _find_lens(tracks: _Tracks, solved: list[Solved], solver: str, focal: float | None) -> tuple[Lens | None, list[Solved]]:
     """Return the lens that the longest piece shows, and the cameras of all pieces behind it."""
-    lens, positions = None, tracks.of_piece(tracks.longest)
+    lens, seen = None, tracks.of_piece(tracks.longest)
     for _ in range(LENS_ROUNDS):
-        new = find_lens(positions, tracks.width, tracks.height, focal, solved[tracks.longest].found, lens)
+        new = find_lens(seen, tracks.width, tracks.height, focal, solved[tracks.longest].found, lens)
         if new is None or (lens is not None and abs(new.shift - lens.shift) < MAX_LENS_CHANGE):
             break
         lens, solved = new, tracks.solve(solver, focal, new)
     return lens, solved
 
 
-def _off_objects(scene: Scene, positions: np.ndarray) -> np.ndarray:
+def _off_objects(scene: Scene, tracks: Observations) -> Observations:
     """Without the tracks that touch the masks of moving objects, where there are masks."""
     if scene.prior("masks") is None:
-        return positions
+        return tracks
     margin = max(3, round(0.01 * max(scene.width, scene.height)))
     kernel = np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)
-    touches = np.zeros(len(positions), bool)
+    touches, rows = np.zeros(tracks.points, bool), tracks.by_camera()
     for t in scene.train_frames:
         mask = cv2.dilate((scene.mask(t) > 0).astype(np.uint8), kernel)
-        seen = np.flatnonzero(np.isfinite(positions[:, t, 0]))
-        x, y = np.clip(positions[seen, t].astype(int), 0, [scene.width - 1, scene.height - 1]).T
-        touches[seen[mask[y, x] > 0]] = True
-    enough = (~touches).sum() >= 0.1 * len(positions)
-    return positions[~touches] if enough else positions
+        here = rows[t]
+        x, y = np.clip(tracks.uv[here].astype(int), 0, [scene.width - 1, scene.height - 1]).T
+        touches[tracks.point[here[mask[y, x] > 0]]] = True
+    enough = (~touches).sum() >= 0.1 * tracks.points
+    return tracks.of_points(~touches) if enough else tracks
 
 
 def _cameras(found: CameraEstimate, unit: float, width: int, height: int) -> list[Camera]:

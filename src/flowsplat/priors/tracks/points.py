@@ -132,6 +132,15 @@ class TrackTable:
         self._frames = [(frame, tracks[tracks >= 0], values[tracks >= 0]) for frame, tracks, values in here]
         self.count = most
 
+    def listed(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return frame [M] and track [M] int64 and the values [M, columns] float32 of all that was noted, ordered by track, then
+        by frame."""
+        frame = np.concatenate([np.zeros(0, np.int64), *(np.full(len(tracks), frame) for frame, tracks, _ in self._frames)])
+        track = np.concatenate([np.zeros(0, np.int64), *(tracks for _, tracks, _ in self._frames)])
+        values = np.concatenate([np.zeros((0, self._columns), np.float32), *(values for _, _, values in self._frames)])
+        order = np.lexsort((frame, track))
+        return frame[order], track[order], values[order].astype(np.float32)
+
     def values(self, frames: int) -> np.ndarray:
         """Return all values [P, frames, columns] float32, NaN where a track was not seen."""
         result = np.full((self.count, frames, self._columns), np.nan, np.float32)
