@@ -21,7 +21,7 @@ import pytest
 from tests.fuzz.readers import make_originals
 from tests.marks import slow
 
-FEW, MANY = 200, 3000
+FEW, MANY = 200, 1500
 PATIENCE = 90.0
 """Seconds without a word after which a process hangs; slower ones than ``SLOWEST`` are failures of their own."""
 pytestmark = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="the peak of memory is measured on Linux only")

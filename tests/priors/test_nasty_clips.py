@@ -267,7 +267,7 @@ def test_hundreds_of_small_frames(tmp_path, room):
             (0.8 * np.sin(12 * s), 0.2 * np.sin(18 * s), 0.3 * np.sin(6 * s)),
             (0.02 * np.sin(30 * s), 0.1 * np.sin(20 * s), 0), (64, 48),
         )
-        for s in np.linspace(0, 1, 3 * MAX_JOINT_FRAMES)
+        for s in np.linspace(0, 1, 2 * MAX_JOINT_FRAMES)
     ]  # fmt: skip
     scene = prepared(tmp_path / "s", [room.image(camera) for camera in cameras])
     assert scene.prior("cameras")["breaks"] == []
