@@ -20,7 +20,7 @@ def test_a_known_distortion_is_recovered(distortion, travel):
     lens = find_lens(positions, WIDTH, HEIGHT, None, pinhole.found, None)
     assert lens.distortion.coefficients[0] == pytest.approx(distortion, rel=0.1)
     assert lens.K[0, 0] == pytest.approx(FOCAL, rel=0.06)
-    straight = solve(positions.moved(lens.straighten_positions(positions.uv)), WIDTH, HEIGHT, None, "auto")
+    straight = solve(positions.at(lens.straighten_positions(positions.uv)), WIDTH, HEIGHT, None, "auto")
     errors = path_errors(cameras_of(straight.found.fit.state), cameras)
     assert errors["rotation"] < 0.3
     if travel:

@@ -40,7 +40,7 @@ def test_some_cameras(positions, cameras):
 def test_what_is_moved_out_of_sight_was_not_seen(positions):
     seen = Observations.of(positions)
     moved = np.where(seen.uv[:, :1] < 50, np.nan, seen.uv + 1)
-    np.testing.assert_array_equal(seen.moved(moved).dense(), np.where(positions[..., :1] < 50, np.nan, positions + 1))
+    np.testing.assert_array_equal(seen.at(moved).dense(), np.where(positions[..., :1] < 50, np.nan, positions + 1))
     np.testing.assert_array_equal(seen.from_middle(100, 60).dense(), positions - [50, 30])
 
 

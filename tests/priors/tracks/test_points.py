@@ -17,7 +17,7 @@ def test_the_longest_tracks_are_kept_in_their_order():
     assert table.values(4).shape == (5, 4, 1)
     table.keep_longest(3)
     values = table.values(4)[..., 0]
-    frame, track, listed = table.listed()
+    frame, track, listed = table.list_all()
     assert sorted(zip(track, frame, strict=True)) == list(zip(track, frame, strict=True))
     np.testing.assert_array_equal(listed[:, 0], values[track, frame])
     assert len(listed) == np.isfinite(values).sum()

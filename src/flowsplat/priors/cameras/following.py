@@ -104,7 +104,7 @@ def follow_points(scene: Scene) -> tuple[Observations, list[int]]:
         around.add(image.astype(np.float32), fresh, t)
         table.add(t, numbers, points)
         before = image
-    frame, track_number, values = table.listed()
+    frame, track_number, values = table.list_all()
     return Observations(frame, track_number, values * to_frame, table.count, scene.num_frames), blank
 
 

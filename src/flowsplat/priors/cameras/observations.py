@@ -80,7 +80,7 @@ class Observations:
         kept = self.where(number[self.camera] >= 0)
         return replace(kept, camera=number[kept.camera], cameras=len(cameras))
 
-    def moved(self, uv: np.ndarray) -> Observations:
+    def at(self, uv: np.ndarray) -> Observations:
         """Return the same with other places [M, 2]; what is NaN there was not seen."""
         return replace(self, uv=uv).where(np.isfinite(uv[:, 0]))
 

@@ -133,7 +133,7 @@ class _Tracks:
     def solve(self, solver: str, focal: float | None, lens: Lens | None = None) -> list[Solved]:
         """Return the cameras of every piece, once the lens is taken out."""
         if lens is not None:
-            straight = replace(self, seen=self.seen.moved(lens.straighten_positions(self.seen.uv)))
+            straight = replace(self, seen=self.seen.at(lens.straighten_positions(self.seen.uv)))
             return straight.solve(solver, None if focal is None else focal * lens.zoom)
         return [
             solve(self.of_piece(k), self.width, self.height, focal, solver, frames, still)
@@ -149,9 +149,9 @@ def _follow(scene: Scene) -> _Tracks:
     if overlay is not None:
         followed = followed.where(~look_up_mask(overlay, followed.uv))
     shown = [t for t in range(scene.num_frames) if t not in set(blank)]
-    pieces = split(shown, find_breaks(followed.moved(followed.uv / unit), shown))
+    pieces = split(shown, find_breaks(followed.at(followed.uv / unit), shown))
     resting = _off_objects(scene, followed)
-    seen = resting.moved(resting.uv / unit)
+    seen = resting.at(resting.uv / unit)
     if not pieces:
         pieces, seen = [list(range(scene.num_frames))], seen.of_points(np.zeros(0, int))
     still = [stands_still(scene, frames) for frames in pieces]

@@ -132,7 +132,7 @@ class TrackTable:
         self._frames = [(frame, tracks[tracks >= 0], values[tracks >= 0]) for frame, tracks, values in here]
         self.count = most
 
-    def listed(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def list_all(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return frame [M] and track [M] int64 and the values [M, columns] float32 of all that was noted, ordered by track, then
         by frame."""
         frame = np.concatenate([np.zeros(0, np.int64), *(np.full(len(tracks), frame) for frame, tracks, _ in self._frames)])
