@@ -50,7 +50,7 @@ FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-
 QUALITY = 82
 TALL = 225
 """Pixels of an image of the result."""
-MOVING_QUALITY = 70
+MOVING_QUALITY = 64
 """Of the animated WebP, 0 to 100: it stays below a megabyte, so that it can stand in the README on PyPI."""
 
 RenderCase = np.ndarray

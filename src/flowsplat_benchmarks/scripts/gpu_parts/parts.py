@@ -39,8 +39,10 @@ TESTS_AT_ONCE = 14
 """Processes that test, at most. Chosen by eye."""
 WIDTH, HEIGHT = 854, 480
 """Pixels."""
-REHEARSED_SIZE = (32, 32)
-"""Pixels of images in a rehearsal: two tiles on two. Triton's interpreter takes seconds for a tile."""
+REHEARSED_SIZE = (32, 16)
+"""Pixels of images in a rehearsal: two tiles. Triton's interpreter takes seconds for a tile."""
+SMALLEST_STREET = (32, 32)
+"""Pixels of the clip of the street that a rehearsal trains on."""
 REHEARSED_GAUSSIANS = 60
 TRAINING_STEPS = 200
 """Training steps that are compared."""
@@ -283,7 +285,7 @@ def training(record: Record) -> None:
     small = record.rehearse
     write_synthetic(
         given,
-        StreetScene(*(REHEARSED_SIZE if small else (320, 180)), frames=4 if small else 40),
+        StreetScene(*(SMALLEST_STREET if small else (320, 180)), frames=4 if small else 40),
         holdout=3 if small else 10,
     )
     config = replace(
