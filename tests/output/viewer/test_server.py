@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import signal
 import socket
@@ -176,6 +177,73 @@ def test_objects_can_be_pushed_away(browser):
     browser.click("As trained")
     np.testing.assert_array_equal(browser.settled(), home)
     assert browser.value("Object 2") == 1
+
+
+def told(browser: Browser, text: str) -> str | None:
+    """What stands beside the controls and holds a text."""
+    return next((c["_markdown"] for c in list(browser.controls.values()) if text in str(c.get("_markdown"))), None)
+
+
+def test_a_box_crops_what_is_seen_and_taken_away(tmp_path, capsys):
+    """Images, screenshots and recordings alike, and the command that is shown exports the same."""
+    port, folder = free_port(), tiny_run(tmp_path / "out")
+    viewer = Viewer(folder, ViewOptions(port=port))
+    try:
+        with Browser(port) as browser:
+            home = browser.settled()
+            ends = [browser.value(f"{axis} {end}") for end in ("from", "to") for axis in "xyz"]
+            browser.set("x from", 0.5)
+            np.testing.assert_array_equal(browser.settled(), home)
+            assert "/crop" not in browser.nodes, "it is off until it is asked for"
+            browser.set("Crop to a box", True)
+            browser.wait(lambda: browser.images[-1][:, :40].max() < 10)
+            cropped = browser.settled()
+            assert "/crop" in browser.nodes
+            assert browser.depths[-1] is not None, "so that the scene hides what of the box is behind it"
+            assert cropped[:, 70:].mean() > 50
+            line = browser.wait(lambda: told(browser, "flowsplat export"))
+            command = shlex.split(line.split("```")[1])
+            box = command[-1].removeprefix("--crop=")
+            assert box.startswith("0.5,")
+
+            browser.click("Screenshot")
+            image = folder / "viewer" / "screenshot_001.png"
+            browser.wait(image.exists)
+            np.testing.assert_array_equal(read_image(image)[:, :40], 0)
+            browser.click("Add a key here")
+            browser.click("Record it")
+            film = folder / "viewer" / "recording_001.mp4"
+            browser.wait(lambda: browser.downloads.get(film.name))
+            assert frames_of(film)[0][:, :24].max() < 16
+            browser.click("Save the path")
+            browser.wait(lambda: any("draws all of the scene" in note for note in browser.notes))
+
+            main([*command[1:4], "npz", "-o", str(tmp_path / "scene.npz"), command[-1]])
+            with np.load(tmp_path / "scene.npz") as exported:
+                assert f"{len(exported['dynamic']):,} of " in line
+
+            browser.set("z from", float(ends[5]))
+            browser.wait(lambda: not browser.settled()[:, 70:].any())
+            assert told(browser, "0 of "), "a box of one step at the far end holds nothing"
+            browser.click("Reset the box")
+            browser.wait(lambda: [browser.value(f"{axis} {end}") for end in ("from", "to") for axis in "xyz"] == ends)
+            browser.set("Crop to a box", False)
+            browser.wait(lambda: np.array_equal(browser.settled(), home))
+            assert told(browser, "flowsplat export") is None
+
+            # A slider may be drawn past the other one.
+            browser.set("x from", 1.0)
+            browser.set("x to", 0.5)
+            browser.set("Crop to a box", True)
+            browser.wait(lambda: (shown := told(browser, "--crop=")) and "--crop=0.5," in shown and ",1," in shown)
+            browser.set("x to", 1e6)
+            browser.wait(lambda: any("x to cannot be" in note for note in browser.notes))
+            browser.set("x to", "nan")
+            browser.wait(lambda: any("x to cannot be nan" in note for note in browser.notes))
+            assert browser.settled().shape == home.shape
+    finally:
+        viewer.stop()
+    capsys.readouterr()
 
 
 def test_the_wipe_looks_through_the_input_camera(run_folder, browser):

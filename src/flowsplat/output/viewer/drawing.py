@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import torch
 
+from flowsplat.gaussians.crop import CropBox
 from flowsplat.gaussians.distances import slice_view
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.renderer import Part
@@ -50,6 +51,7 @@ class Look:
         stereo: a pair for two eyes, left beside right, in place of what ``compare`` says.
         distances: of objects, by number, how many times as far away they are as they were trained.
         confidence_fade: without what the clip tells too little of, from where it is seen.
+        crop: what lies in this box alone; None = all.
     """
 
     show: ImageKind = "color"
@@ -60,6 +62,7 @@ class Look:
     stereo: bool = False
     distances: tuple[tuple[int, float], ...] = ()
     confidence_fade: bool = False
+    crop: CropBox | None = None
 
 
 @dataclass(frozen=True)
@@ -147,7 +150,7 @@ def render_look(source: Source, camera: Camera, wish: Wish, side: int = 0) -> tu
     look, t = wish.look, wish.t
     flow_to = _next_shot(source, camera, wish, side) if look.show == "flow" else None
     camera = _eye(source, camera, side)
-    model = source.model(look.part, look.distances, look.confidence_fade)
+    model = source.model(look.part, look.distances, look.confidence_fade, look.crop)
     if look.show == "Gaussians":
         return draw_points(model, camera, t), np.full((camera.height, camera.width), np.inf, np.float32)
     seen = model.render(camera, t, flow_to)

@@ -236,6 +236,10 @@ class ExportPanel:
         options = "".join(f" {word}" for word in ("--render.object-depth", *distances) if distances)
         options += " --render.confidence-fade" if self._session.look.confidence_fade else ""
         self._notifications.show("Render it", render_command(self._source, path) + options)
+        if self._session.look.crop is not None:
+            self._notifications.show(
+                "Without the box", "flowsplat render draws all of the scene; what is recorded here is cropped."
+            )
         yield
 
     def _load_path(self) -> None:

@@ -13,6 +13,7 @@ from flowsplat.common.spread import spread
 from flowsplat.gaussians.renderer import PARTS
 from flowsplat.output.viewer.browser_frame import SCENE_DEPTH, BrowserFrame, Pose, limit_turn
 from flowsplat.output.viewer.controls import Control, Controls, as_text
+from flowsplat.output.viewer.crop_panel import CropPanel
 from flowsplat.output.viewer.drawing import Compare, Drawing, ImageKind, Look
 from flowsplat.output.viewer.export_panel import ExportPanel
 from flowsplat.output.viewer.layout import Box, fit_box
@@ -80,15 +81,23 @@ class Panel:
         self._worker.add(self.client.client_id, self._session, self._show)
         self._follow_camera(self.client.camera)
 
+    def leave(self) -> None:
+        """Send nothing more: the client has gone."""
+        self._is_over = True
+        if self._crop is not None:
+            self._crop.end()
+
     def end(self) -> None:
         """Take away what was made for the client: another scene is shown to it."""
-        self._is_over = True
+        self.leave()
         self.client.gui.reset()
         self.client.scene.reset()
 
     def reload(self) -> None:
         """There is a newer model."""
         self._status.content = self._state()
+        if self._crop is not None:
+            self._crop.tell()
         if self._trails.value:
             self._draw_trails()
 
@@ -114,6 +123,7 @@ class Panel:
             self._stereo = controls.add_checkbox("Stereo pair", False, hint="For two eyes, left beside right.")
             self._confidence_fade = controls.add_checkbox("Only what the clip tells", False, hint=_CONFIDENCE_FADE_HINT)
         self._distances: dict[int, Control] = {}
+        self._crop: CropPanel | None = None
         if self._objects:
             with gui.add_folder("Distance of objects", expand_by_default=False):
                 gui.add_markdown(_DISTANCE_HINT)
@@ -126,6 +136,8 @@ class Panel:
                     self._distances[number] = slider
                 trained = gui.add_button("As trained", icon=viser.Icon.ARROW_BACK)
             trained.on_click(self._notifications.callback(self._reset_distances))
+        if len(self._source.loaded.part("all").gaussians):
+            self._crop = CropPanel(self.client, self._notifications, self._source, self._browser, self._set_look)
         with gui.add_folder("Drawn into it"):
             self._cameras = controls.add_checkbox("Cameras", False)
             self._trails = controls.add_checkbox("Paths of Gaussians", False)
@@ -255,9 +267,10 @@ class Panel:
         distances = tuple((number, float(slider.value)) for number, slider in self._distances.items() if slider.value != 1)
         look = Look(
             self._what.value, self._part.value, self._compare.value, float(self._wipe.value), self._tracks.value,
-            self._stereo.value, distances, self._confidence_fade.value,
+            self._stereo.value, distances, self._confidence_fade.value, None if self._crop is None else self._crop.box,
         )  # fmt: skip
-        are_moved = look.distances != self._session.look.distances
+        before = self._session.look
+        are_moved = (look.distances, look.crop) != (before.distances, before.crop)
         self._wipe.visible = look.compare == "wipe"
         if look.compare == "wipe" and self._mode.value != "input camera":
             # A frame can only lie over what was seen from the same place.
@@ -278,7 +291,7 @@ class Panel:
 
     def _show(self, job: ImageJob, drawing: Drawing) -> None:
         """Bring an image to the browser; called by the worker."""
-        drawn_into = self._cameras.value or self._trails.value
+        drawn_into = self._cameras.value or self._trails.value or (self._crop is not None and self._crop.is_drawn)
         quality = _STILL_QUALITY if job.is_still else _MOVING_QUALITY
         depth = drawing.depth if drawn_into else None
         self.client.scene.set_background_image(drawing.image, format="jpeg", jpeg_quality=quality, depth=depth)
@@ -316,9 +329,11 @@ class Panel:
         if (old := self._overlays.pop("trails", None)) is not None:
             old.remove()
         if self._trails.value:
-            ends, colors = trails(self._source.model("all", self._session.look.distances))
+            look = self._session.look
+            ends, colors = trails(self._source.model("all", look.distances, crop=look.crop))
             if not len(ends):
-                self._notifications.show("Nothing to draw", "No Gaussian of this scene moves.")
+                where = "of this scene" if look.crop is None else "in the box"
+                self._notifications.show("Nothing to draw", f"No Gaussian {where} moves.")
             else:
                 there = self._browser.from_scene.points(ends.astype(np.float64))
                 self._overlays["trails"] = self.client.scene.add_line_segments(
