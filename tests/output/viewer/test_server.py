@@ -290,11 +290,48 @@ def test_the_input_camera_follows_the_clip(browser):
     browser.click("To the input camera")
     browser.wait(lambda: np.abs(browser.position - there).max() < 1e-3)
     np.testing.assert_array_equal(browser.settled(), home)
-    browser.click("Look farther")
+    browser.set("Look farther", True)
     browser.wait(lambda: browser.value("Mode") == "orbit" and browser.value("Only what the clip tells"))
     browser.look(position=there + [2.0, 0, 0])
     browser.settled()
     np.testing.assert_allclose(browser.position, there + [2.0, 0, 0], atol=1e-6)
+    browser.set("Look farther", False)
+    browser.wait(lambda: browser.value("Mode") == "input camera" and not browser.value("Only what the clip tells"))
+    browser.wait(lambda: np.abs(browser.position - there).max() < 1e-3)
+    np.testing.assert_array_equal(browser.settled(), home)
+    browser.set("Mode", "fly")
+    browser.wait(lambda: browser.value("Look farther"))
+
+
+def test_a_pull_beyond_the_reach_is_resisted_and_springs_back(run_folder, browser):
+    """Nothing moves the browser's camera while a hand does; then it stands where the image is seen from."""
+    home, there = browser.settled(), browser.position
+    reach = np.radians(min(SWING_ANGLES)) * SCENE_DEPTH
+    count = len(browser.images)
+    pulled = there + [2.0, 0, 0]
+    for _ in range(20):
+        browser.look(position=pulled)
+        time.sleep(0.05)
+        np.testing.assert_array_equal(browser.position, pulled)
+    assert len(browser.images) > count
+    beyond = browser.images[-1]
+    browser.wait(lambda: np.linalg.norm(browser.position - there) < 1.001 * reach)
+    back = browser.settled()
+    assert np.linalg.norm(browser.position - there) == pytest.approx(reach, rel=0.01)
+    assert browser.position[0] > there[0]
+    assert place(home) - place(beyond) > 1.1 * (place(home) - place(back)) > 0.01, "it was seen from farther aside"
+
+    before = {path.name for path in (run_folder / "viewer").glob("screenshot*")}
+    browser.click("Screenshot")
+    (name,) = browser.wait(lambda: {path.name for path in (run_folder / "viewer").glob("screenshot*")} - before)
+    image = browser.wait(lambda: browser.downloads.get(name)) and read_image(run_folder / "viewer" / name)
+    assert np.abs(image.astype(int) - back).mean() < np.abs(image.astype(int) - home).mean() / 2, "as it is seen"
+    browser.click("Add a key here")
+    browser.click("Save the path")
+    path = browser.wait(lambda: next((name for name in browser.downloads if name.startswith("path_")), None))
+    browser.wait(lambda: browser.downloads[path])
+    camera = read_camera_file(run_folder / "viewer" / path, (64, 48), (0.0, 1.0)).shots[0][0]
+    assert abs(camera.center[0]) > 0.1, "and so is a key"
 
 
 def test_cameras_and_ways_are_drawn_by_the_browser(browser):
