@@ -20,6 +20,7 @@ from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.videos.shots import MIN_ALPHA
 from flowsplat.output.viewer.browser_frame import BrowserFrame, Pose
 from flowsplat.output.viewer.layout import Box, empty, fit_box, halves, place, wipe
+from flowsplat.output.viewer.mask import compute_kept, fade_into_window
 from flowsplat.output.viewer.source import Source
 from flowsplat.splatting.rules import ALPHA_MIN
 
@@ -144,6 +145,8 @@ def draw_shot(source: Source, browser: BrowserFrame, camera: Camera, t: float, l
 def render_look(source: Source, camera: Camera, wish: Wish, side: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Return what ``wish.look`` shows, from a camera of the scene or from one of two eyes there (``side`` -1 left, 1 right).
 
+    Beside the input camera what the clip has not seen fades into the window; a free camera is shown it, too.
+
     Returns:
         [H, W, 3] uint8 and the planar depth [H, W] in the units of the scene, far away where there is nothing.
     """
@@ -151,10 +154,14 @@ def render_look(source: Source, camera: Camera, wish: Wish, side: int = 0) -> tu
     flow_to = _next_shot(source, camera, wish, side) if look.show == "flow" else None
     camera = _eye(source, camera, side)
     model = source.model(look.part, look.distances, look.confidence_fade, look.crop)
+    is_beside = wish.pose is None and any(wish.turn)
+    if is_beside:
+        model = source.without_guesses(model)
     if look.show == "Gaussians":
         return draw_points(model, camera, t), np.full((camera.height, camera.width), np.inf, np.float32)
     seen = model.render(camera, t, flow_to)
     covered = seen.alpha >= MIN_ALPHA
+    kept = compute_kept(seen.alpha) if model.fill and model.confidence_fade is not None else None
     if look.show == "color":
         image = float_to_bytes(seen.color)
     elif look.show == "alpha":
@@ -166,7 +173,9 @@ def render_look(source: Source, camera: Camera, wish: Wish, side: int = 0) -> tu
         scale = source.scales.flow * camera.width / source.size[0]
         flow = seen.flow if t + source.step <= source.clip[1] else -seen.flow
         image = flow_to_color(np.where(covered[..., None], flow, np.nan), scale)
-    if look.tracks and wish.pose is None and not any(wish.turn) and source.tracks is not None:
+    if kept is not None:
+        image, covered = fade_into_window(image, kept), covered & (kept >= MIN_ALPHA)
+    if look.tracks and wish.pose is None and not is_beside and source.tracks is not None:
         draw_tracks(image, source, t)
     return image, np.where(covered, seen.depth, np.inf).astype(np.float32)
 

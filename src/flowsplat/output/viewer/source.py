@@ -119,6 +119,13 @@ class Source:
         model = replace(model, distances=Distances(factors, self._inner_path)) if factors else model
         return replace(model, confidence_fade=self._inner_path, fill=False) if confidence_fade else model
 
+    def without_guesses(self, model: SceneModel) -> SceneModel:
+        """Return a model of this source without what the clip tells too little of, its gaps filled as before; itself where that is
+        not known, and where guesses fade already."""
+        if model.gaussians.seen is None or model.confidence_fade is not None:
+            return model
+        return replace(model, confidence_fade=self._inner_path)
+
     def refresh(self) -> bool:
         """Read the newest state again if it changed; whether it did."""
         found = self._find()
