@@ -156,7 +156,7 @@ def render_look(source: Source, camera: Camera, wish: Wish, side: int = 0) -> tu
     model = source.model(look.part, look.distances, look.confidence_fade, look.crop)
     is_beside = wish.pose is None and any(wish.turn)
     if is_beside:
-        model = source.without_guesses(model)
+        model = source.without_unseen(model)
     if look.show == "Gaussians":
         return draw_points(model, camera, t), np.full((camera.height, camera.width), np.inf, np.float32)
     seen = model.render(camera, t, flow_to)

@@ -1,4 +1,7 @@
-"""Fade a view into the window where nothing is left of what the clip has seen, as the exported page does (``player/assets``)."""
+"""Fade a view into the window where nothing is left of what the clip has seen.
+
+The exported page fades likewise (``player/assets``), but more: all that the clip does not tell (``gaussians.confidence_fade``).
+"""
 
 from __future__ import annotations
 

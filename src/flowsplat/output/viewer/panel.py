@@ -68,6 +68,9 @@ class Panel:
         self._clicked = float("-inf"), (0.0, 0.0)
         self._overlays: dict[str, Any] = {}
         self._stood: deque[np.ndarray] = deque(maxlen=_KEPT_PLACES)
+        self._is_there = False
+        """The browser has told that its camera is where it was put since the input camera is looked through: from elsewhere no hand
+        has pulled it."""
         counts = source.loaded.part("all").gaussians.object_counts
         self._objects = sorted(sorted(counts, key=lambda number: -counts[number])[:_MAX_OBJECTS])
         self._build()
@@ -79,7 +82,7 @@ class Panel:
         self.client.camera.on_update(self._follow_camera)
         self.client.scene.on_click()(lambda event: self._follow_click(event.screen_pos))
         self._worker.add(self.client.client_id, self._session, self._show)
-        self._follow_camera(self.client.camera)
+        self._follow_camera(self.client.camera, is_told=False)
 
     def leave(self) -> None:
         """Send nothing more: the client has gone."""
@@ -191,7 +194,8 @@ class Panel:
 
     # -- camera
 
-    def _follow_camera(self, camera: viser.CameraHandle) -> None:
+    def _follow_camera(self, camera: viser.CameraHandle, is_told: bool = True) -> None:
+        """``is_told``: by the browser."""
         if self._is_over:
             return
         with self._worker.change():  # also while it is read: it may be brought elsewhere at this moment
@@ -199,9 +203,11 @@ class Panel:
             pose = Pose(np.array(camera.wxyz), np.array(camera.position), float(camera.fov))
             session.move(pose, (camera.image_width, camera.image_height), now)
             # Where it was put itself, a browser may tell of late.
-            is_moved = session.mode == "input camera" and all(np.abs(pose.position - each).max() > 1e-3 for each in self._stood)
+            is_where_put = any(np.abs(pose.position - each).max() <= 1e-3 for each in self._stood)
+            self._is_there |= is_where_put and is_told
+            is_moved = session.mode == "input camera" and not is_where_put
             # While it plays, the browser's camera is always a little behind.
-            is_pulled = is_moved and not session.clock.playing and session.look.compare != "wipe"
+            is_pulled = is_moved and self._is_there and not session.clock.playing and session.look.compare != "wipe"
             if is_pulled:
                 turn = self._browser.turn_between(self._browser.pose(self._source.path.at(session.clock.at(now))), pose)
                 session.elastic.pull(turn, self._source.reach, now)
@@ -256,6 +262,7 @@ class Panel:
     def _set_mode(self) -> None:
         mode: Mode = self._mode.value
         with self._worker.change():
+            self._is_there &= self._session.mode == mode
             self._session.mode = mode
             self._session.change(time.monotonic())
         _set_value(self._farther, mode != "input camera")

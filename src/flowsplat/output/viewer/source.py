@@ -19,6 +19,7 @@ import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.run_paths import RunPaths
+from flowsplat.gaussians.confidence_fade import keep_all_seen
 from flowsplat.gaussians.crop import CropBox, select_in_box
 from flowsplat.gaussians.distances import Distances
 from flowsplat.gaussians.model import SceneModel
@@ -119,12 +120,15 @@ class Source:
         model = replace(model, distances=Distances(factors, self._inner_path)) if factors else model
         return replace(model, confidence_fade=self._inner_path, fill=False) if confidence_fade else model
 
-    def without_guesses(self, model: SceneModel) -> SceneModel:
-        """Return a model of this source without what the clip tells too little of, its gaps filled as before; itself where that is
-        not known, and where guesses fade already."""
-        if model.gaussians.seen is None or model.confidence_fade is not None:
+    def without_unseen(self, model: SceneModel) -> SceneModel:
+        """Return a model of this source without what no frame of the clip has seen, its gaps filled as before.
+
+        It is the model itself where that is not known, and where guesses fade anyway.
+        """
+        seen = model.gaussians.seen
+        if seen is None or model.confidence_fade is not None:
             return model
-        return replace(model, confidence_fade=self._inner_path)
+        return replace(model, gaussians=replace(model.gaussians, seen=keep_all_seen(seen)), confidence_fade=self._inner_path)
 
     def refresh(self) -> bool:
         """Read the newest state again if it changed; whether it did."""
