@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ import torch
 pytest.importorskip("viser", reason="viser is not installed: pip install 'flowsplat[view]'")
 
 from flowsplat.gaussians.crop import CropBox, compute_bounds, crop, parse_crop
+from flowsplat.output.viewer.controls import as_code
 from flowsplat.output.viewer.crop_panel import choose_ends, export_command
 from flowsplat.output.viewer.source import Source
 from tests.output.tiny import tiny_model
@@ -67,3 +69,12 @@ def test_the_command_is_one_that_a_shell_takes(run_folder):
     words = shlex.split(export_command(source, box))
     assert words[:5] == ["flowsplat", "export", str(source.folder), "--to", "html"]
     assert parse_crop(words[5].removeprefix("--crop=")) == box
+
+
+@pytest.mark.parametrize("text", ["flowsplat export out/clip", "it`s ```odd```", ""])
+def test_text_to_be_copied_is_whole(text):
+    """As CommonMark reads code: between the first run of backticks and the next that is as long."""
+    code = as_code(text)
+    fence = code[: len(code) - len(code.lstrip("`"))]
+    inside, rest = re.split(f"(?<!`){fence}(?!`)", code[len(fence) :], maxsplit=1)
+    assert (inside, rest) == (f" {text} ", "")

@@ -73,10 +73,10 @@ def test_parts_objects_elsewhere_and_ways_are_cropped(source):
 def test_cropped_scenes_are_kept_but_not_for_ever(run_folder):
     loaded = Source(run_folder).loaded
     boxes = [CropBox((-1.0, -1.0, 0.0), (1.0 + k, 1.0, 9.0)) for k in range(6)]
-    first = [loaded.cropped("all", box) for box in boxes]
-    assert loaded.cropped("all", boxes[-1]) is first[-1]
-    assert loaded.cropped("all", boxes[0]) is not first[0]
-    assert loaded.cropped("all", None) is loaded.part("all")
+    first = [loaded.crop("all", box) for box in boxes]
+    assert loaded.crop("all", boxes[-1]) is first[-1]
+    assert loaded.crop("all", boxes[0]) is not first[0]
+    assert loaded.crop("all", None) is loaded.part("all")
 
 
 def test_bars_lie_where_the_clip_does_not(source):

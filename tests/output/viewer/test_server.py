@@ -202,7 +202,7 @@ def test_a_box_crops_what_is_seen_and_taken_away(tmp_path, capsys):
             assert browser.depths[-1] is not None, "so that the scene hides what of the box is behind it"
             assert cropped[:, 70:].mean() > 50
             line = browser.wait(lambda: told(browser, "flowsplat export"))
-            command = shlex.split(line.split("```")[1])
+            command = shlex.split(line.split("`")[1])
             box = command[-1].removeprefix("--crop=")
             assert box.startswith("0.5,")
 

@@ -13,18 +13,18 @@ import viser
 from flowsplat.gaussians.crop import CropBox, compute_bounds, parse_crop
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.output.viewer.browser_frame import BrowserFrame
-from flowsplat.output.viewer.controls import Control, Controls
+from flowsplat.output.viewer.controls import Control, Controls, as_code
 from flowsplat.output.viewer.notifications import Notifications
 from flowsplat.output.viewer.source import Source
 
 _EDGE_SHARE = 0.01
 """Share of the Gaussians that may lie beyond the ends of the sliders, on each side of each axis: stray ones would make all of the
 scene a hair on them. Chosen by eye."""
-_MARGIN = 0.05
+_SLIDER_MARGIN = 0.05
 """Of the scene's side, by which the sliders reach beyond it. Chosen by eye."""
 _MIN_SIDE_SHARE = 0.05
 """Of the longest side that a slider spans, at least: a flat scene can be cropped, too. Chosen by eye."""
-_STEPS = 200
+_SLIDER_STEPS = 200
 """Steps of a slider, at least. Chosen by eye."""
 _SHOWN_SECONDS = 3.0
 """For which the box is drawn after a change. Chosen by eye."""
@@ -46,8 +46,8 @@ def choose_ends(model: SceneModel) -> tuple[CropBox, tuple[float, ...]]:
         raise ValueError("a scene without Gaussians has no ends")
     found = compute_bounds(model, _EDGE_SHARE)
     low, high = np.array(found.low), np.array(found.high)
-    sides = (1 + 2 * _MARGIN) * np.maximum(high - low, _MIN_SIDE_SHARE * (high - low).max())
-    middle, steps = (low + high) / 2, [_round_down(side / _STEPS) for side in sides]
+    sides = (1 + 2 * _SLIDER_MARGIN) * np.maximum(high - low, _MIN_SIDE_SHARE * (high - low).max())
+    middle, steps = (low + high) / 2, [_round_down(side / _SLIDER_STEPS) for side in sides]
     ends = [
         (_multiple(math.floor((place - side / 2) / step), step), _multiple(math.ceil((place + side / 2) / step), step))
         for place, side, step in zip(middle, sides, steps, strict=True)
@@ -121,8 +121,8 @@ class CropPanel:
             self._told.content = ""
             return
         # Sliders move faster than large scenes are cropped: calls that wait find the newest box, and its scene, which is kept.
-        total, kept = (len(self._source.loaded.cropped("all", which).gaussians) for which in (None, box))
-        self._told.content = f"{kept:,} of {total:,} Gaussians. To export them:\n\n```\n{export_command(self._source, box)}\n```"
+        total, kept = (len(self._source.loaded.crop("all", which).gaussians) for which in (None, box))
+        self._told.content = f"{kept:,} of {total:,} Gaussians. To export them:\n\n{as_code(export_command(self._source, box))}"
 
     def _read(self) -> CropBox:
         """The box of the sliders, as its text says it: what is drawn is what is exported."""

@@ -60,17 +60,17 @@ class ElasticTurn:
 
     def is_moving(self, now: float) -> bool:
         """Return whether the view is going to spring back, or does."""
-        return self._pulled(now) > REST
+        return self._pull_left(now) > REST
 
     def turn(self, now: float) -> tuple[float, float]:
         """Return degrees to the left and up by which the view is turned: at the reach, at the latest, once it has come back."""
         pulled = _length(self._pull) / self._most
         if pulled == 0:
             return 0.0, 0.0
-        share = resist(self._pulled(now)) / pulled
+        share = resist(self._pull_left(now)) / pulled
         return self._pull[0] * share, self._pull[1] * share
 
-    def _pulled(self, now: float) -> float:
+    def _pull_left(self, now: float) -> float:
         """How far it is pulled, over the most that can be shown; less and less once it is let go."""
         pulled = _length(self._pull) / self._most
         if pulled <= REST or self.is_held(now):

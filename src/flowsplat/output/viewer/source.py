@@ -51,7 +51,7 @@ class Loaded:
             self._parts[part] = self._parts["all"].part(part)
         return self._parts[part]
 
-    def cropped(self, part: Part, box: CropBox | None) -> SceneModel:
+    def crop(self, part: Part, box: CropBox | None) -> SceneModel:
         """Return what of a part of the scene lies in a box, which may be nothing; None = all of it.
 
         Panels ask for it as well as the thread that renders.
@@ -116,7 +116,7 @@ class Source:
         too little of; nothing as long as that is not known. ``crop``: what lies in a box alone, as ``flowsplat export`` crops:
         objects by where they were trained.
         """
-        model, factors = self.loaded.cropped(part, crop), {number: factor for number, factor in distances if factor != 1}
+        model, factors = self.loaded.crop(part, crop), {number: factor for number, factor in distances if factor != 1}
         model = replace(model, distances=Distances(factors, self._inner_path)) if factors else model
         return replace(model, confidence_fade=self._inner_path, fill=False) if confidence_fade else model
 
