@@ -40,7 +40,7 @@ _TIME_STEP = 0.001
 _MAX_ENLARGEMENT = 2
 """Times the size of the clip. Beyond that, the gaps between Gaussians are seen rather than the scene. Chosen by eye."""
 _MODE_HINT = "The input camera follows the clip. Orbit turns round the scene, fly looks about; W A S D Q E move."
-_FARTHER_HINT = "Let go of the input camera: turn and fly as far as you like: what the clip does not tell fades."
+_FARTHER_HINT = "Let go of the input camera, to turn and fly as far as you like: what the clip does not tell fades."
 _DOUBLE_CLICK_SECONDS, _DOUBLE_CLICK_REACH = 0.4, 0.02
 """Between two clicks that are one double click, and how far they may be apart, as a share of the window. Chosen by eye."""
 _MAX_OBJECTS = 16
