@@ -15,6 +15,7 @@ from flowsplat.gaussians.confidence_fade import (
     MIN_FADE_REACH,
     MIN_FRAMES,
     apply_confidence_fade,
+    keep_all_seen,
     reach,
 )
 from flowsplat.gaussians.visibility import ASKED_FRAMES, with_seen
@@ -37,6 +38,12 @@ def test_how_far_each_may_be_looked_at():
         torch.tensor([(MIN_FRAMES, 0.05), (MIN_FRAMES - 1, 0.05), (MIN_FRAMES, 0.0001), (30.0, MAX_DIRECTION_DIFFERENCE)])
     )
     np.testing.assert_allclose(found, [MAX_SPREADS * 0.05, MIN_FADE_REACH, MIN_FADE_REACH, MAX_SPREADS * MAX_DIRECTION_DIFFERENCE])
+
+
+def test_what_one_frame_has_seen_may_be_looked_at_from_everywhere():
+    found = reach(keep_all_seen(torch.tensor([(1.0, 0.0), (0.0, 0.05), (30.0, 0.01), (0.0, MAX_DIRECTION_DIFFERENCE)])))
+    assert (found[[0, 2]] >= MAX_DIRECTION_DIFFERENCE).all()
+    np.testing.assert_allclose(found[[1, 3]], MIN_FADE_REACH)
 
 
 def test_opacities_fall_between_the_reach_and_twice_that():

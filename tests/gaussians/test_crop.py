@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.gaussians.crop import CropBox, compute_bounds, crop, parse_crop
+from flowsplat.gaussians.crop import CropBox, compute_bounds, crop, parse_crop, select_in_box
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Similarity
 from tests.output.small import small_model
@@ -47,3 +47,26 @@ def test_what_is_no_box_is_refused(text):
     with pytest.raises(InputError, match="--crop"):
         parse_crop(text)
     assert parse_crop(str(parse_crop("-1,-2,0.5,1,1.25,3"))) == CropBox((-1.0, -2.0, 0.5), (1.0, 1.25, 3.0))
+
+
+def test_where_nothing_lies_nothing_is_left():
+    far = CropBox((90.0, 90.0, 90.0), (91.0, 91.0, 91.0))
+    model = select_in_box(scene(), far)
+    assert (len(model.gaussians), model.fill) == (0, False)
+
+
+def test_a_box_has_twelve_edges():
+    edges = CropBox((0.0, 1.0, 2.0), (1.0, 3.0, 6.0)).edges
+    assert edges.shape == (12, 2, 3)
+    lengths = np.abs(edges[:, 1] - edges[:, 0])
+    assert sorted(map(tuple, lengths)) == [(0, 0, 4)] * 4 + [(0, 2, 0)] * 4 + [(1, 0, 0)] * 4
+    assert len(np.unique(edges.reshape(-1, 3), axis=0)) == 8
+
+
+@pytest.mark.parametrize("low", [0.0, 1.0, -123.456, 98765.4321])
+@pytest.mark.parametrize("side", [1e-6, 0.02, 3.0])
+def test_a_text_says_where_the_box_is(low, side):
+    """However small it is and however far from the origin."""
+    box = CropBox((low,) * 3, (low + side,) * 3)
+    again = parse_crop(str(box))
+    assert np.abs(np.subtract([again.low, again.high], [box.low, box.high])).max() <= 1.001e-3 * side

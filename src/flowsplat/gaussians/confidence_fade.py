@@ -35,6 +35,15 @@ def reach(seen: Tensor) -> Tensor:
     return torch.where(frames >= MIN_FRAMES, MAX_SPREADS * spread_of, torch.zeros_like(spread_of)).clamp(min=MIN_FADE_REACH)
 
 
+def keep_all_seen(seen: Tensor) -> Tensor:
+    """Return ``Gaussians4D.seen`` [N, 2] as if all that any frame has seen, be it once, were known from all around.
+
+    With it only what no frame has seen fades.
+    """
+    known = torch.tensor([float(MIN_FRAMES), MAX_DIRECTION_DIFFERENCE]).to(seen)
+    return torch.where(seen[:, :1] > 0, known, torch.zeros_like(seen))
+
+
 def apply_confidence_fade(gaussians: Gaussians4D, viewer: np.ndarray, own: np.ndarray) -> Gaussians4D:
     """Return the Gaussians as far as the clip tells what they look like: beyond its ``reach`` each fades, and is gone at twice
     that.

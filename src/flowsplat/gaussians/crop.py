@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 
@@ -13,6 +14,10 @@ from flowsplat.gaussians.model import SceneModel
 
 _MIN_SIDE = 1e-6
 """Of the box round a scene that lies in a plane."""
+_TEXT_PRECISION = 1e-3
+"""Share of a side by which the text of a box may put it elsewhere. Chosen by eye."""
+_MIN_DIGITS, _ALL_DIGITS = 4, 17
+"""Of the numbers in such a text: as many as there are without a large offset, and with which every number is exact."""
 _NAMES = "x0,y0,z0,x1,y1,z1"
 
 
@@ -29,12 +34,25 @@ class CropBox:
     high: tuple[float, float, float]
 
     def __str__(self) -> str:
-        """As ``--crop`` takes it."""
-        return ",".join(f"{value:.4g}" for value in (*self.low, *self.high))
+        """As ``--crop`` takes it, to a thousandth of its sides."""
+        values = np.array([self.low, self.high])
+        most = _TEXT_PRECISION * np.tile(values[1] - values[0], 2)
+        for digits in range(_MIN_DIGITS, _ALL_DIGITS + 1):
+            texts = [f"{value:.{digits}g}" for value in values.ravel().tolist()]
+            if (np.abs(np.array(texts, float) - values.ravel()) <= most).all():
+                break
+        return ",".join(texts)
 
     def holds(self, points: np.ndarray) -> np.ndarray:
         """Return which of the points [N, 3] lie in it, [N] bool."""
         return np.asarray(((points >= self.low) & (points <= self.high)).all(-1), bool)
+
+    @property
+    def edges(self) -> np.ndarray:
+        """[12, 2, 3] both ends of each of its edges."""
+        corners = np.array(list(itertools.product(*zip(self.low, self.high, strict=True))))
+        pairs = itertools.combinations(range(len(corners)), 2)
+        return corners[[pair for pair in pairs if np.sum(corners[pair[0]] != corners[pair[1]]) == 1]]
 
 
 def parse_crop(text: str) -> CropBox:
@@ -70,19 +88,26 @@ def compute_bounds(model: SceneModel, share: float = 0.0) -> CropBox:
     return CropBox(tuple(low.tolist()), tuple(thick.tolist()))
 
 
-def crop(model: SceneModel, box: CropBox) -> SceneModel:
-    """Return the scene with the Gaussians in a box alone; what they do not cover stays black.
+def select_in_box(model: SceneModel, box: CropBox) -> SceneModel:
+    """Return the scene with the Gaussians in a box alone, which may be none; what they do not cover stays black.
 
     What moves stays or goes as a whole Gaussian, by its center at the time at which it is most there.
+    """
+    rows = torch.from_numpy(np.nonzero(box.holds(_centers(model)))[0]).to(model.gaussians.device)
+    return replace(model, gaussians=model.gaussians.select(rows), fill=False)
+
+
+def crop(model: SceneModel, box: CropBox) -> SceneModel:
+    """Return the scene with the Gaussians in a box alone, as ``select_in_box`` does.
 
     Raises:
         InputError: there are none in it.
     """
-    rows = torch.from_numpy(np.nonzero(box.holds(_centers(model)))[0]).to(model.gaussians.device)
-    if not len(rows):
+    cropped = select_in_box(model, box)
+    if not len(cropped.gaussians):
         around = str(compute_bounds(model))
         raise InputError(f"--crop {box} holds nothing of the scene, whose Gaussians lie in {around}.")
-    return replace(model, gaussians=model.gaussians.select(rows), fill=False)
+    return cropped
 
 
 def _centers(model: SceneModel) -> np.ndarray:

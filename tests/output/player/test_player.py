@@ -17,6 +17,7 @@ from flowsplat.output.player.camera_paths import LOOP_TIMES
 from flowsplat.output.videos.amplitudes import LoopWidths
 from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.videos.shots import subject_distance
+from flowsplat.output.viewer.elastic import MAX_PULL, resist
 from tests.output.small import (
     FIRST,
     HEIGHT,
@@ -264,6 +265,9 @@ def test_pulling_reaches_the_loop_and_no_farther_than_was_measured(open_page, tm
     assert (turned >= 0.99 * np.maximum(limits, floor) - 0.01).all()
     assert (stays >= 0.99 * np.maximum(floor, 0.8 * limits) - 0.01).all()
     assert (stays <= turned + 1e-9).all()
+    # The viewer resists by the same formula.
+    shares = np.linspace(0, MAX_PULL, 50).tolist()
+    assert page.page.evaluate("(shares) => shares.map(resist)", shares) == pytest.approx([resist(share) for share in shares])
     # A small pull is followed as it is, and stays.
     small = np.array(page.page.evaluate(pull, [times, steps, 1, 0.06]))
     np.testing.assert_array_equal(small[..., :2], small[..., 2:])

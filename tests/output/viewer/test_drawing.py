@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 import torch
 
+from flowsplat.gaussians.crop import CropBox, crop
 from flowsplat.geometry import Camera
+from flowsplat.images.colors import float_to_bytes
 from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.viewer.browser_frame import SCENE_DEPTH, BrowserFrame
 from flowsplat.output.viewer.drawing import Look, Wish, draw, draw_points
@@ -37,6 +39,44 @@ def test_depth_is_told_in_the_world_of_the_browser(source):
     drawing = seen(source, t=0.5)
     assert np.median(drawing.depth) == pytest.approx(SCENE_DEPTH, rel=0.02)
     assert drawing.depth.min() == pytest.approx(SCENE_DEPTH * OBJECT / WALL, rel=0.05)
+
+
+@pytest.mark.parametrize("show", ["color", "alpha", "depth", "flow", "Gaussians"])
+def test_what_lies_outside_of_the_box_is_not_drawn(source, show):
+    """The right half of the wall, and the object at the time at which it is most there."""
+    box = CropBox((0.0, -9.0, 0.0), (9.0, 9.0, 9.0))
+    whole, half = (seen(source, (128, 96), 0.0, show=show, crop=crop).image.astype(int) for crop in (None, box))
+    cropped = replace(source.loaded.part("all"), graphs=False)
+    cropped = crop(cropped, box)
+    assert 0 < len(cropped.gaussians) < len(source.loaded.part("all").gaussians)
+    if show == "color":
+        expected = cropped.render(source.path.at(0.0).resize(128, 96), 0.0).color
+        np.testing.assert_array_equal(half, float_to_bytes(expected))
+        assert red(whole).any()
+        assert not red(half).any(), "at the left in the middle of the clip"
+    nothing = seen(source, (128, 96), 0.0, show=show, crop=CropBox((0.0, 0.0, 90.0), (1.0, 1.0, 91.0))).image
+    np.testing.assert_array_equal(half[:, :48], nothing[:, :48])
+    edge = slice(70, None)
+    assert np.abs(half[:, edge] - whole[:, edge]).mean() < 0.05 * np.abs(half[:, edge] - nothing[:, edge].astype(int)).mean()
+
+
+def test_parts_objects_elsewhere_and_ways_are_cropped(source):
+    around_object = CropBox((-1.0, -1.0, OBJECT - 0.5), (0.5, 1.0, OBJECT + 0.5))
+    assert red(seen(source, part="objects", crop=around_object).image).any()
+    assert not seen(source, part="background", crop=around_object).image.any()
+    pushed = seen(source, part="objects", crop=around_object, distances=((2, 1.4),)).image
+    assert red(pushed).any(), "by where it was trained"
+    assert len(trails(source.model("all", crop=around_object))[0]) == len(trails(source.model("all"))[0]) > 0
+    assert not len(trails(source.model("all", crop=CropBox((1.0, -1.0, 0.0), (2.0, 1.0, 9.0))))[0])
+
+
+def test_cropped_scenes_are_kept_but_not_for_ever(run_folder):
+    loaded = Source(run_folder).loaded
+    boxes = [CropBox((-1.0, -1.0, 0.0), (1.0 + k, 1.0, 9.0)) for k in range(6)]
+    first = [loaded.crop("all", box) for box in boxes]
+    assert loaded.crop("all", boxes[-1]) is first[-1]
+    assert loaded.crop("all", boxes[0]) is not first[0]
+    assert loaded.crop("all", None) is loaded.part("all")
 
 
 def test_bars_lie_where_the_clip_does_not(source):

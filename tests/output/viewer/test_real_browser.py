@@ -70,6 +70,42 @@ def served(run_folder) -> Iterator[tuple[int, subprocess.Popen[str]]]:
 
 
 @pytest.mark.slow
+def test_a_view_holds_near_the_input_camera_and_a_box_crops_it(chromium, served):
+    port, _ = served
+    context = chromium.new_context(viewport=SIZE)
+    page = context.new_page()
+    errors = Complaints(page, ("error",))
+    try:
+        page.goto(f"http://localhost:{port}", timeout=PATIENCE)
+        start = place_at_rest(page)
+        page.mouse.move(60, 330)
+        page.mouse.down()
+        for k in range(20):
+            page.mouse.move(60 + 10 * k, 330)
+            page.wait_for_timeout(50)
+        wait(page, lambda: abs(place(page) - start) > 4)
+        page.mouse.up()
+        aside = place_at_rest(page)
+        assert 4 < abs(aside - start) < 25, "three degrees, however far it is dragged"
+        page.mouse.dblclick(60, 330)
+        wait(page, lambda: abs(place(page) - start) < 1)
+        assert place_at_rest(page) == pytest.approx(start, abs=1), "where it began"
+
+        page.get_by_text("Crop", exact=True).click()
+        page.get_by_text("Crop to a box").click()
+        wait(page, lambda: page.get_by_text("--crop=").count() > 0)
+        assert red(shown(page)).any()
+        behind_the_object = page.locator("input.mantine-NumberInput-input").nth(-3)
+        behind_the_object.fill("3")
+        behind_the_object.press("Enter")
+        wait(page, lambda: not red(shown(page)[160:]).any())
+        assert shown(page)[200:300, 100:200].mean() > 50, "the wall is there"
+        assert errors == []
+    finally:
+        context.close()
+
+
+@pytest.mark.slow
 def test_two_browsers_move_in_time_and_it_stops(chromium, served):
     port, process = served
     contexts = [chromium.new_context(viewport=SIZE) for _ in range(2)]
@@ -87,7 +123,7 @@ def test_two_browsers_move_in_time_and_it_stops(chromium, served):
         assert place(second) == pytest.approx(starts[1], abs=1), "the other one has a time of its own"
 
         first.get_by_text("Distance of objects").click()
-        distance = first.locator("input.mantine-NumberInput-input").nth(-2)  # the last is of the export
+        distance = first.locator("input.mantine-NumberInput-input").nth(-8)  # the last is of the export, six are of the crop box
         distance.fill("2")
         distance.press("Enter")
         below_notes = slice(160, None)

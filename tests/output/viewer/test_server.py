@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import signal
 import socket
@@ -178,6 +179,73 @@ def test_objects_can_be_pushed_away(browser):
     assert browser.value("Object 2") == 1
 
 
+def told(browser: Browser, text: str) -> str | None:
+    """What stands beside the controls and holds a text."""
+    return next((c["_markdown"] for c in list(browser.controls.values()) if text in str(c.get("_markdown"))), None)
+
+
+def test_a_box_crops_what_is_seen_and_taken_away(tmp_path, capsys):
+    """Images, screenshots and recordings alike, and the command that is shown exports the same."""
+    port, folder = free_port(), tiny_run(tmp_path / "out")
+    viewer = Viewer(folder, ViewOptions(port=port))
+    try:
+        with Browser(port) as browser:
+            home = browser.settled()
+            ends = [browser.value(f"{axis} {end}") for end in ("from", "to") for axis in "xyz"]
+            browser.set("x from", 0.5)
+            np.testing.assert_array_equal(browser.settled(), home)
+            assert "/crop" not in browser.nodes, "it is off until it is asked for"
+            browser.set("Crop to a box", True)
+            browser.wait(lambda: browser.images[-1][:, :40].max() < 10)
+            cropped = browser.settled()
+            assert "/crop" in browser.nodes
+            assert browser.depths[-1] is not None, "so that the scene hides what of the box is behind it"
+            assert cropped[:, 70:].mean() > 50
+            line = browser.wait(lambda: told(browser, "flowsplat export"))
+            command = shlex.split(line.split("`")[1])
+            box = command[-1].removeprefix("--crop=")
+            assert box.startswith("0.5,")
+
+            browser.click("Screenshot")
+            image = folder / "viewer" / "screenshot_001.png"
+            browser.wait(image.exists)
+            np.testing.assert_array_equal(read_image(image)[:, :40], 0)
+            browser.click("Add a key here")
+            browser.click("Record it")
+            film = folder / "viewer" / "recording_001.mp4"
+            browser.wait(lambda: browser.downloads.get(film.name))
+            assert frames_of(film)[0][:, :24].max() < 16
+            browser.click("Save the path")
+            browser.wait(lambda: any("draws all of the scene" in note for note in browser.notes))
+
+            main([*command[1:4], "npz", "-o", str(tmp_path / "scene.npz"), command[-1]])
+            with np.load(tmp_path / "scene.npz") as exported:
+                assert f"{len(exported['dynamic']):,} of " in line
+
+            browser.set("z from", float(ends[5]))
+            browser.wait(lambda: not browser.settled()[:, 70:].any())
+            assert told(browser, "0 of "), "a box of one step at the far end holds nothing"
+            browser.click("Reset the box")
+            browser.wait(lambda: [browser.value(f"{axis} {end}") for end in ("from", "to") for axis in "xyz"] == ends)
+            browser.set("Crop to a box", False)
+            browser.wait(lambda: np.array_equal(browser.settled(), home))
+            assert told(browser, "flowsplat export") is None
+
+            # A slider may be drawn past the other one.
+            browser.set("x from", 1.0)
+            browser.set("x to", 0.5)
+            browser.set("Crop to a box", True)
+            browser.wait(lambda: (shown := told(browser, "--crop=")) and "--crop=0.5," in shown and ",1," in shown)
+            browser.set("x to", 1e6)
+            browser.wait(lambda: any("x to cannot be" in note for note in browser.notes))
+            browser.set("x to", "nan")
+            browser.wait(lambda: any("x to cannot be nan" in note for note in browser.notes))
+            assert browser.settled().shape == home.shape
+    finally:
+        viewer.stop()
+    capsys.readouterr()
+
+
 def test_the_wipe_looks_through_the_input_camera(run_folder, browser):
     browser.set("Seconds", 0.5)
     browser.set("Show", "alpha")
@@ -222,11 +290,59 @@ def test_the_input_camera_follows_the_clip(browser):
     browser.click("To the input camera")
     browser.wait(lambda: np.abs(browser.position - there).max() < 1e-3)
     np.testing.assert_array_equal(browser.settled(), home)
-    browser.click("Look farther")
+    browser.set("Look farther", True)
     browser.wait(lambda: browser.value("Mode") == "orbit" and browser.value("Only what the clip tells"))
     browser.look(position=there + [2.0, 0, 0])
     browser.settled()
     np.testing.assert_allclose(browser.position, there + [2.0, 0, 0], atol=1e-6)
+    browser.set("Look farther", False)
+    browser.wait(lambda: browser.value("Mode") == "input camera" and not browser.value("Only what the clip tells"))
+    browser.wait(lambda: np.abs(browser.position - there).max() < 1e-3)
+    np.testing.assert_array_equal(browser.settled(), home)
+    browser.set("Mode", "fly")
+    browser.wait(lambda: browser.value("Look farther"))
+
+
+def test_a_pull_beyond_the_reach_is_resisted_and_springs_back(browser):
+    """Nothing moves the browser's camera while a hand does; then it stands where the image is seen from."""
+    home, there = browser.settled(), browser.position
+    reach = np.radians(min(SWING_ANGLES)) * SCENE_DEPTH
+    count = len(browser.images)
+    pulled = there + [2.0, 0, 0]
+    for _ in range(20):
+        browser.look(position=pulled)
+        time.sleep(0.05)
+        np.testing.assert_array_equal(browser.position, pulled)
+    assert len(browser.images) > count
+    beyond = browser.images[-1]
+    browser.wait(lambda: np.linalg.norm(browser.position - there) < 1.001 * reach)
+    back = browser.settled()
+    assert np.linalg.norm(browser.position - there) == pytest.approx(reach, rel=0.01)
+    assert browser.position[0] > there[0]
+    assert place(home) - place(beyond) > 1.1 * (place(home) - place(back)) > 0.01, "it was seen from farther aside"
+
+
+def test_what_is_taken_away_is_seen_from_where_it_was_pulled_aside(tmp_path):
+    port, folder = free_port(), tiny_run(tmp_path / "out")
+    viewer = Viewer(folder, ViewOptions(port=port))
+    try:
+        with Browser(port) as browser:
+            home, there = browser.settled(), browser.position
+            browser.look(position=there + [0.2, 0, 0])
+            aside = browser.settled()
+            assert place(home) - place(aside) > 0.02
+            browser.click("Screenshot")
+            image = folder / "viewer" / "screenshot_001.png"
+            browser.wait(lambda: browser.downloads.get(image.name))
+            assert place(read_image(image)) == pytest.approx(place(aside), abs=0.005)
+            browser.click("Add a key here")
+            browser.click("Save the path")
+            path = folder / "viewer" / "path_001.json"
+            browser.wait(lambda: browser.downloads.get(path.name))
+            camera = read_camera_file(path, (64, 48), (0.0, 1.0)).shots[0][0]
+            assert camera.center[0] == pytest.approx(0.2, rel=0.05)
+    finally:
+        viewer.stop()
 
 
 def test_cameras_and_ways_are_drawn_by_the_browser(browser):

@@ -81,3 +81,26 @@ def test_nothing_is_drawn_while_it_is_held():
     client.move(POSE, CANVAS, 0.0)
     client.is_held = True
     assert draw(client, 1.0) is None
+
+
+def test_a_view_that_is_let_go_comes_back_in_small_images_and_ends_in_a_full_one():
+    client = session()
+    client.mode = "input camera"
+    client.move(POSE, CANVAS, 0.0)
+    assert draw(client, 1.0).is_still
+    client.elastic.pull((60.0, 0.0), 5.0, 2.0)
+    client.change(2.0)
+    held = draw(client, 2.0)
+    assert 5 < held.wish.turn[0] < 6.25
+    assert client.is_restless(2.2)
+    jobs = [job for k in range(2, 300) if (job := draw(client, 2 + k / 100, 0.0)) is not None]
+    turns = [job.wish.turn[0] for job in jobs]
+    assert len(turns) > 5
+    assert turns == sorted(turns, reverse=True)
+    assert turns[-1] == 5.0
+    assert [job.is_still for job in jobs] == [False] * (len(jobs) - 1) + [True]
+    assert jobs[-1].wish.size == CANVAS
+    assert not client.is_restless(9.0)
+    client.mode = "orbit"
+    client.change(9.0)
+    assert draw(client, 9.0).wish.turn == (0, 0)

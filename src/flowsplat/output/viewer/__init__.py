@@ -1,4 +1,4 @@
 """The interactive viewer.
 
-``server``, ``panel``, ``export_panel``, ``controls`` and ``notifications`` use viser; nothing else here does.
+``server``, ``panel``, ``crop_panel``, ``export_panel``, ``controls`` and ``notifications`` use viser; nothing else here does.
 """

@@ -34,12 +34,6 @@ class Pose:
         return Rotation.from_quat(self.wxyz, scalar_first=True).as_matrix()[:, 2]
 
 
-def limit_turn(turn: tuple[float, float], most: float) -> tuple[float, float]:
-    """Return degrees to the left and up, no more than ``most`` to either side and half as many up and down."""
-    share = max(float(np.hypot(turn[0], 2 * turn[1])) / most, 1.0)
-    return turn[0] / share, turn[1] / share
-
-
 class BrowserFrame:
     """The browser's coordinates: the scene, moved and scaled to a median depth of ``SCENE_DEPTH``."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
@@ -78,6 +79,12 @@ class Controls:
     def add_checkbox(self, label: str, initial_value: bool, **more: Any) -> Control:
         """Yes or no."""
         return Control(self._gui.add_checkbox(label, initial_value, **more), bool)
+
+
+def as_code(text: str) -> str:
+    """``text`` for viser's Markdown, to be copied: it breaks into lines where there is no room, and may hold anything but lines."""
+    fence = "`" * (1 + max(map(len, re.findall("`*", text))))
+    return f"{fence} {text} {fence}"
 
 
 def as_text(text: str) -> str:

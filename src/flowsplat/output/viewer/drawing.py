@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import torch
 
+from flowsplat.gaussians.crop import CropBox
 from flowsplat.gaussians.distances import slice_view
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.renderer import Part
@@ -19,6 +20,7 @@ from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.videos.shots import MIN_ALPHA
 from flowsplat.output.viewer.browser_frame import BrowserFrame, Pose
 from flowsplat.output.viewer.layout import Box, empty, fit_box, halves, place, wipe
+from flowsplat.output.viewer.mask import compute_kept, fade_into_window
 from flowsplat.output.viewer.source import Source
 from flowsplat.splatting.rules import ALPHA_MIN
 
@@ -50,6 +52,7 @@ class Look:
         stereo: a pair for two eyes, left beside right, in place of what ``compare`` says.
         distances: of objects, by number, how many times as far away they are as they were trained.
         confidence_fade: without what the clip tells too little of, from where it is seen.
+        crop: what lies in this box alone; None = all.
     """
 
     show: ImageKind = "color"
@@ -60,6 +63,7 @@ class Look:
     stereo: bool = False
     distances: tuple[tuple[int, float], ...] = ()
     confidence_fade: bool = False
+    crop: CropBox | None = None
 
 
 @dataclass(frozen=True)
@@ -141,17 +145,23 @@ def draw_shot(source: Source, browser: BrowserFrame, camera: Camera, t: float, l
 def render_look(source: Source, camera: Camera, wish: Wish, side: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Return what ``wish.look`` shows, from a camera of the scene or from one of two eyes there (``side`` -1 left, 1 right).
 
+    Beside the input camera what the clip has not seen fades into the window; a free camera is shown it, too.
+
     Returns:
         [H, W, 3] uint8 and the planar depth [H, W] in the units of the scene, far away where there is nothing.
     """
     look, t = wish.look, wish.t
     flow_to = _next_shot(source, camera, wish, side) if look.show == "flow" else None
     camera = _eye(source, camera, side)
-    model = source.model(look.part, look.distances, look.confidence_fade)
+    model = source.model(look.part, look.distances, look.confidence_fade, look.crop)
+    is_beside = wish.pose is None and any(wish.turn)
+    if is_beside:
+        model = source.without_unseen(model)
     if look.show == "Gaussians":
         return draw_points(model, camera, t), np.full((camera.height, camera.width), np.inf, np.float32)
     seen = model.render(camera, t, flow_to)
     covered = seen.alpha >= MIN_ALPHA
+    kept = compute_kept(seen.alpha) if model.fill and model.confidence_fade is not None else None
     if look.show == "color":
         image = float_to_bytes(seen.color)
     elif look.show == "alpha":
@@ -163,7 +173,9 @@ def render_look(source: Source, camera: Camera, wish: Wish, side: int = 0) -> tu
         scale = source.scales.flow * camera.width / source.size[0]
         flow = seen.flow if t + source.step <= source.clip[1] else -seen.flow
         image = flow_to_color(np.where(covered[..., None], flow, np.nan), scale)
-    if look.tracks and wish.pose is None and not any(wish.turn) and source.tracks is not None:
+    if kept is not None:
+        image, covered = fade_into_window(image, kept), covered & (kept >= MIN_ALPHA)
+    if look.tracks and wish.pose is None and not is_beside and source.tracks is not None:
         draw_tracks(image, source, t)
     return image, np.where(covered, seen.depth, np.inf).astype(np.float32)
 

@@ -113,17 +113,18 @@ class ExportPanel:
         session = self._session
         with self._worker.change():
             assert session.canvas is not None
-            pose = None if session.mode == "input camera" else session.pose
-            wish = Wish(session.resolution.still(session.canvas), session.clock.at(time.monotonic()), session.look, pose)
+            now = time.monotonic()
+            wish = Wish(session.resolution.still(session.canvas), session.clock.at(now), session.look, *session.view(now))
         path = next_file(self._folder, "screenshot", ".png")
         self._begin(take_screenshot(self._source, self._browser, wish, path, self._finish))
 
     def _camera_here(self) -> Camera:
         """Return what the client sees, as a camera with the size of the clip."""
-        session = self._session
-        if session.mode == "input camera" or session.pose is None:
-            return self._source.path.at(session.clock.at(time.monotonic()))
-        return self._browser.camera(session.pose, *self._source.size)
+        now = time.monotonic()
+        pose, turn = self._session.view(now)
+        if pose is None:
+            return self._source.input_camera(self._session.clock.at(now), turn)
+        return self._browser.camera(pose, *self._source.size)
 
     def _add_key(self) -> None:
         self._planned = None
@@ -236,6 +237,10 @@ class ExportPanel:
         options = "".join(f" {word}" for word in ("--render.object-depth", *distances) if distances)
         options += " --render.confidence-fade" if self._session.look.confidence_fade else ""
         self._notifications.show("Render it", render_command(self._source, path) + options)
+        if self._session.look.crop is not None:
+            self._notifications.show(
+                "Without the box", "flowsplat render draws all of the scene; what is recorded here is cropped."
+            )
         yield
 
     def _load_path(self) -> None:

@@ -11,8 +11,9 @@ import viser
 
 from flowsplat.common.spread import spread
 from flowsplat.gaussians.renderer import PARTS
-from flowsplat.output.viewer.browser_frame import SCENE_DEPTH, BrowserFrame, Pose, limit_turn
+from flowsplat.output.viewer.browser_frame import SCENE_DEPTH, BrowserFrame, Pose
 from flowsplat.output.viewer.controls import Control, Controls, as_text
+from flowsplat.output.viewer.crop_panel import CropPanel
 from flowsplat.output.viewer.drawing import Compare, Drawing, ImageKind, Look
 from flowsplat.output.viewer.export_panel import ExportPanel
 from flowsplat.output.viewer.layout import Box, fit_box
@@ -39,7 +40,7 @@ _TIME_STEP = 0.001
 _MAX_ENLARGEMENT = 2
 """Times the size of the clip. Beyond that, the gaps between Gaussians are seen rather than the scene. Chosen by eye."""
 _MODE_HINT = "The input camera follows the clip. Orbit turns round the scene, fly looks about; W A S D Q E move."
-_FARTHER_HINT = "Turn and fly as far as you like: what the clip does not tell fades."
+_FARTHER_HINT = "Let go of the input camera, to turn and fly as far as you like: what the clip does not tell fades."
 _DOUBLE_CLICK_SECONDS, _DOUBLE_CLICK_REACH = 0.4, 0.02
 """Between two clicks that are one double click, and how far they may be apart, as a share of the window. Chosen by eye."""
 _MAX_OBJECTS = 16
@@ -67,6 +68,9 @@ class Panel:
         self._clicked = float("-inf"), (0.0, 0.0)
         self._overlays: dict[str, Any] = {}
         self._stood: deque[np.ndarray] = deque(maxlen=_KEPT_PLACES)
+        self._is_there = False
+        """The browser has told that its camera is where it was put since the input camera is looked through: from elsewhere no hand
+        has pulled it."""
         counts = source.loaded.part("all").gaussians.object_counts
         self._objects = sorted(sorted(counts, key=lambda number: -counts[number])[:_MAX_OBJECTS])
         self._build()
@@ -78,17 +82,25 @@ class Panel:
         self.client.camera.on_update(self._follow_camera)
         self.client.scene.on_click()(lambda event: self._follow_click(event.screen_pos))
         self._worker.add(self.client.client_id, self._session, self._show)
-        self._follow_camera(self.client.camera)
+        self._follow_camera(self.client.camera, is_told=False)
+
+    def leave(self) -> None:
+        """Send nothing more: the client has gone."""
+        self._is_over = True
+        if self._crop is not None:
+            self._crop.end()
 
     def end(self) -> None:
         """Take away what was made for the client: another scene is shown to it."""
-        self._is_over = True
+        self.leave()
         self.client.gui.reset()
         self.client.scene.reset()
 
     def reload(self) -> None:
         """There is a newer model."""
         self._status.content = self._state()
+        if self._crop is not None:
+            self._crop.tell()
         if self._trails.value:
             self._draw_trails()
 
@@ -104,7 +116,7 @@ class Panel:
             self._loop = controls.add_checkbox("Loop", True)
         with gui.add_folder("Camera"):
             self._mode = controls.add_dropdown("Mode", get_args(Mode), initial_value="input camera", hint=_MODE_HINT)
-            farther = gui.add_button("Look farther", icon=viser.Icon.MAXIMIZE, hint=_FARTHER_HINT)
+            self._farther = controls.add_checkbox("Look farther", False, hint=_FARTHER_HINT)
             home = gui.add_button("To the input camera", icon=viser.Icon.HOME)
         with gui.add_folder("Image"):
             self._what = controls.add_dropdown("Show", get_args(ImageKind), initial_value="color")
@@ -114,6 +126,7 @@ class Panel:
             self._stereo = controls.add_checkbox("Stereo pair", False, hint="For two eyes, left beside right.")
             self._confidence_fade = controls.add_checkbox("Only what the clip tells", False, hint=_CONFIDENCE_FADE_HINT)
         self._distances: dict[int, Control] = {}
+        self._crop: CropPanel | None = None
         if self._objects:
             with gui.add_folder("Distance of objects", expand_by_default=False):
                 gui.add_markdown(_DISTANCE_HINT)
@@ -126,16 +139,19 @@ class Panel:
                     self._distances[number] = slider
                 trained = gui.add_button("As trained", icon=viser.Icon.ARROW_BACK)
             trained.on_click(self._notifications.callback(self._reset_distances))
+        if len(self._source.loaded.part("all").gaussians):
+            self._crop = CropPanel(self.client, self._notifications, self._source, self._browser, self._set_look)
         with gui.add_folder("Drawn into it"):
             self._cameras = controls.add_checkbox("Cameras", False)
             self._trails = controls.add_checkbox("Paths of Gaussians", False)
             self._tracks = controls.add_checkbox("Tracks of the clip", False, hint="Seen from the input camera.",
                                             visible=self._source.scene.has_tracks)  # fmt: skip
-        for button, action in ((self._play, self._toggle), (home, self._go_home), (farther, self._look_farther)):
+        for button, action in ((self._play, self._toggle), (home, self._go_home)):
             button.on_click(self._notifications.callback(action))
         for control, action in (
             (self._time, self._seek), (self._speed, self._set_speed), (self._loop, self._set_loop),
-            (self._mode, self._set_mode), (self._cameras, self._draw_cameras), (self._trails, self._draw_trails),
+            (self._mode, self._set_mode), (self._farther, self._look_farther), (self._cameras, self._draw_cameras),
+            (self._trails, self._draw_trails),
         ):  # fmt: skip
             control.on_update(self._notifications.callback(action))
         for control in (self._what, self._part, self._compare, self._wipe, self._stereo, self._confidence_fade, self._tracks):
@@ -178,22 +194,25 @@ class Panel:
 
     # -- camera
 
-    def _follow_camera(self, camera: viser.CameraHandle) -> None:
+    def _follow_camera(self, camera: viser.CameraHandle, is_told: bool = True) -> None:
+        """``is_told``: by the browser."""
         if self._is_over:
             return
-        pose = Pose(np.array(camera.wxyz), np.array(camera.position), float(camera.fov))
-        now = time.monotonic()
-        with self._worker.change():
-            session = self._session
+        with self._worker.change():  # also while it is read: it may be brought elsewhere at this moment
+            now, session = time.monotonic(), self._session
+            pose = Pose(np.array(camera.wxyz), np.array(camera.position), float(camera.fov))
             session.move(pose, (camera.image_width, camera.image_height), now)
             # Where it was put itself, a browser may tell of late.
-            is_pulled = session.mode == "input camera" and all(np.abs(pose.position - each).max() > 1e-3 for each in self._stood)
+            is_where_put = any(np.abs(pose.position - each).max() <= 1e-3 for each in self._stood)
+            self._is_there |= is_where_put and is_told
+            is_moved = session.mode == "input camera" and not is_where_put
             # While it plays, the browser's camera is always a little behind.
-            if is_pulled and not session.clock.playing and self._session.look.compare != "wipe":
+            is_pulled = is_moved and self._is_there and not session.clock.playing and session.look.compare != "wipe"
+            if is_pulled:
                 turn = self._browser.turn_between(self._browser.pose(self._source.path.at(session.clock.at(now))), pose)
-                session.turn = limit_turn(turn, self._source.reach)
+                session.elastic.pull(turn, self._source.reach, now)
                 session.change(now)
-        if is_pulled:
+        if is_moved and not is_pulled:
             self._stand(self._find_input_pose(), _PIVOT_DISTANCE["orbit"])
 
     def _follow_click(self, place: tuple[float, float]) -> None:
@@ -217,30 +236,36 @@ class Panel:
 
     def _find_input_pose(self) -> Pose:
         """Return the input camera at this time, turned as it is looked past, all of its image inside the window."""
-        shown = self._source.input_camera(self._session.clock.at(time.monotonic()), self._session.turn)
+        now = time.monotonic()
+        shown = self._source.input_camera(self._session.clock.at(now), self._session.elastic.turn(now))
         canvas = (self.client.camera.image_width, self.client.camera.image_height)
         box = fit_box(self._source.size, Box(0, 0, *canvas))
         pose = self._browser.pose(shown)
         return Pose(pose.wxyz, pose.position, 2 * float(np.arctan(np.tan(pose.fov / 2) * canvas[1] / box.height)))
 
     def _look_farther(self) -> None:
-        if self._mode.value == "input camera":
-            _set_value(self._mode, "orbit")
-            _set_value(self._confidence_fade, True)
-            self._set_mode()
-            self._set_look()
+        """Let go of the input camera, without guesses; and back."""
+        is_farther = self._farther.value
+        _set_value(self._mode, "orbit" if is_farther else "input camera")
+        _set_value(self._confidence_fade, is_farther)
+        self._set_mode()
+        self._set_look()
+        if not is_farther:
+            self._go_home()
 
     def _go_home(self) -> None:
         with self._worker.change():
-            self._session.turn = (0.0, 0.0)
+            self._session.elastic.reset()
             self._session.change(time.monotonic())
-        self._stand(self._find_input_pose(), _PIVOT_DISTANCE.get(self._session.mode, SCENE_DEPTH))
+            self._stand(self._find_input_pose(), _PIVOT_DISTANCE.get(self._session.mode, SCENE_DEPTH))
 
     def _set_mode(self) -> None:
         mode: Mode = self._mode.value
         with self._worker.change():
+            self._is_there &= self._session.mode == mode
             self._session.mode = mode
             self._session.change(time.monotonic())
+        _set_value(self._farther, mode != "input camera")
         if mode != "input camera":
             camera = self.client.camera
             here = Pose(np.array(camera.wxyz), np.array(camera.position), float(camera.fov))
@@ -255,9 +280,10 @@ class Panel:
         distances = tuple((number, float(slider.value)) for number, slider in self._distances.items() if slider.value != 1)
         look = Look(
             self._what.value, self._part.value, self._compare.value, float(self._wipe.value), self._tracks.value,
-            self._stereo.value, distances, self._confidence_fade.value,
+            self._stereo.value, distances, self._confidence_fade.value, None if self._crop is None else self._crop.box,
         )  # fmt: skip
-        are_moved = look.distances != self._session.look.distances
+        before = self._session.look
+        are_moved = (look.distances, look.crop) != (before.distances, before.crop)
         self._wipe.visible = look.compare == "wipe"
         if look.compare == "wipe" and self._mode.value != "input camera":
             # A frame can only lie over what was seen from the same place.
@@ -265,7 +291,7 @@ class Panel:
             self._set_mode()
         with self._worker.change():
             if look.compare == "wipe":
-                self._session.turn = (0.0, 0.0)
+                self._session.elastic.reset()
             self._session.look = look
             self._session.change(time.monotonic())
         if are_moved and self._trails.value:
@@ -278,11 +304,12 @@ class Panel:
 
     def _show(self, job: ImageJob, drawing: Drawing) -> None:
         """Bring an image to the browser; called by the worker."""
-        drawn_into = self._cameras.value or self._trails.value
+        drawn_into = self._cameras.value or self._trails.value or (self._crop is not None and self._crop.is_drawn)
         quality = _STILL_QUALITY if job.is_still else _MOVING_QUALITY
         depth = drawing.depth if drawn_into else None
         self.client.scene.set_background_image(drawing.image, format="jpeg", jpeg_quality=quality, depth=depth)
-        if job.wish.pose is None:
+        # A hand that pulls is told where it is at the end alone: each word of it would end what it does.
+        if job.wish.pose is None and not self._session.elastic.is_held(time.monotonic()):
             self._stand(drawing.pose, _PIVOT_DISTANCE["orbit"])
         _set_value(self._time, float(np.clip(round(job.wish.t, 3), *self._source.clip)))
         self._label_play()
@@ -316,9 +343,11 @@ class Panel:
         if (old := self._overlays.pop("trails", None)) is not None:
             old.remove()
         if self._trails.value:
-            ends, colors = trails(self._source.model("all", self._session.look.distances))
+            look = self._session.look
+            ends, colors = trails(self._source.model("all", look.distances, crop=look.crop))
             if not len(ends):
-                self._notifications.show("Nothing to draw", "No Gaussian of this scene moves.")
+                where = "of this scene" if look.crop is None else "in the box"
+                self._notifications.show("Nothing to draw", f"No Gaussian {where} moves.")
             else:
                 there = self._browser.from_scene.points(ends.astype(np.float64))
                 self._overlays["trails"] = self.client.scene.add_line_segments(

@@ -131,9 +131,10 @@ def record_path(
         InputError: it cannot be written, a WebM is asked for where nothing moves, or a GIF that is too large.
     """
     path = recording.path
-    suffix, objects = path.suffix, source.model("objects", look.distances, look.confidence_fade)
+    suffix, objects = path.suffix, source.model("objects", look.distances, look.confidence_fade, look.crop)
     if suffix == ".webm" and not len(objects.gaussians):
-        raise InputError("Nothing moves in this scene: record it as mp4 or gif.")
+        where = "in this scene" if look.crop is None else "in the box that is shown"
+        raise InputError(f"Nothing moves {where}: record it as mp4 or gif.")
     fps = recording.choose_fps(fps)
     shots = [(recording.resize(camera), t) for camera, t in keys.shots(fps)]
     needed = sum(3 * camera.width * camera.height * (1 + look.stereo) for camera, _ in shots)

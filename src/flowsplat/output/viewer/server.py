@@ -68,7 +68,9 @@ class Viewer:
 
     def _disconnect(self, client: viser.ClientHandle) -> None:
         with self._lock:
-            self._panels.pop(client.client_id, None)
+            panel = self._panels.pop(client.client_id, None)
+        if panel is not None:
+            panel.leave()
         self.worker.remove(client.client_id)
 
     def _reload(self) -> None:

@@ -7,6 +7,8 @@ of its own.
 from __future__ import annotations
 
 import contextlib
+import threading
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
@@ -17,6 +19,8 @@ import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.run_paths import RunPaths
+from flowsplat.gaussians.confidence_fade import keep_all_seen
+from flowsplat.gaussians.crop import CropBox, select_in_box
 from flowsplat.gaussians.distances import Distances
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.renderer import Part
@@ -38,6 +42,8 @@ class Loaded:
         """``state``: in words; ``number`` counts the states, so that one can see whether there is a new one."""
         self.state, self.number = state, number
         self._parts: dict[Part, SceneModel] = {"all": model}
+        self._cropped: OrderedDict[tuple[Part, CropBox], SceneModel] = OrderedDict()
+        self._cropping = threading.Lock()
 
     def part(self, part: Part) -> SceneModel:
         """Return the model of a part of the scene, made when it is first asked for."""
@@ -45,9 +51,26 @@ class Loaded:
             self._parts[part] = self._parts["all"].part(part)
         return self._parts[part]
 
+    def crop(self, part: Part, box: CropBox | None) -> SceneModel:
+        """Return what of a part of the scene lies in a box, which may be nothing; None = all of it.
+
+        Panels ask for it as well as the thread that renders.
+        """
+        if box is None:
+            return self.part(part)
+        with self._cropping:
+            if (part, box) not in self._cropped:
+                self._cropped[part, box] = select_in_box(self.part(part), box)
+                while len(self._cropped) > _MAX_CROPPED:
+                    self._cropped.popitem(last=False)
+            self._cropped.move_to_end((part, box))
+            return self._cropped[part, box]
+
 
 _OF_SCENE = ("path", "reach", "_inner_path", "step", "tracks", "scales")
 """What is kept of a scene."""
+_MAX_CROPPED = 4
+"""Cropped scenes that are kept, each with Gaussians of its own: of as many clients, or parts. Chosen by eye."""
 
 
 class Source:
@@ -80,15 +103,32 @@ class Source:
         own = self.path.at(t)
         return turn_aside(own, 1 / self.scene.similarity.scale, *turn) if any(turn) else own
 
-    def model(self, part: Part, distances: Sequence[tuple[int, float]] = (), confidence_fade: bool = False) -> SceneModel:
+    def model(
+        self,
+        part: Part,
+        distances: Sequence[tuple[int, float]] = (),
+        confidence_fade: bool = False,
+        crop: CropBox | None = None,
+    ) -> SceneModel:
         """Return the newest model of a part of the scene, with objects so many times as far away as they were trained.
 
         Numbers that no object has do nothing: in training they may come and go. ``confidence_fade``: without what the clip tells
-        too little of; nothing as long as that is not known.
+        too little of; nothing as long as that is not known. ``crop``: what lies in a box alone, as ``flowsplat export`` crops:
+        objects by where they were trained.
         """
-        model, factors = self.loaded.part(part), {number: factor for number, factor in distances if factor != 1}
+        model, factors = self.loaded.crop(part, crop), {number: factor for number, factor in distances if factor != 1}
         model = replace(model, distances=Distances(factors, self._inner_path)) if factors else model
         return replace(model, confidence_fade=self._inner_path, fill=False) if confidence_fade else model
+
+    def without_unseen(self, model: SceneModel) -> SceneModel:
+        """Return a model of this source without what no frame of the clip has seen, its gaps filled as before.
+
+        It is the model itself where that is not known, and where guesses fade anyway.
+        """
+        seen = model.gaussians.seen
+        if seen is None or model.confidence_fade is not None:
+            return model
+        return replace(model, gaussians=replace(model.gaussians, seen=keep_all_seen(seen)), confidence_fade=self._inner_path)
 
     def refresh(self) -> bool:
         """Read the newest state again if it changed; whether it did."""
