@@ -41,8 +41,8 @@ WIDTH, HEIGHT = 854, 480
 """Pixels."""
 REHEARSED_SIZE = (32, 16)
 """Pixels of images in a rehearsal: two tiles. Triton's interpreter takes seconds for a tile."""
-SMALLEST_STREET = (32, 32)
-"""Pixels of the clip of the street that a rehearsal trains on."""
+STREET_SIZE = (32, 32)
+"""Pixels of the clip of the street that a rehearsal trains on: it is drawn no smaller."""
 REHEARSED_GAUSSIANS = 60
 TRAINING_STEPS = 200
 """Training steps that are compared."""
@@ -285,7 +285,7 @@ def training(record: Record) -> None:
     small = record.rehearse
     write_synthetic(
         given,
-        StreetScene(*(SMALLEST_STREET if small else (320, 180)), frames=4 if small else 40),
+        StreetScene(*(STREET_SIZE if small else (320, 180)), frames=4 if small else 40),
         holdout=3 if small else 10,
     )
     config = replace(
