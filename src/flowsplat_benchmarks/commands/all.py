@@ -16,8 +16,9 @@ def run(
     """Everything whose figures the results pages show, as cells (one benchmark, clip and seed): a night on two cores.
 
     Each cell leaves one OUT/cells/<cell>.json with its figures, commit, machine, threads and seconds, or with why it failed; the
-    pages in OUT/pages show failures, too. Short cells come first. The same command again skips what is done at this commit and
-    goes on where it was stopped.
+    pages in OUT/pages show failures, too. With as many --workers as cores each cell has one thread, and its seconds are those of
+    the processor, which other work on the machine leaves as they are. Short cells come first. The same command again skips what
+    is done at this commit and goes on where it was stopped.
 
     Args:
         root: Folder with davis/<clip>/images and masks, rig/<scene> and flow/<pair>; cells whose scene is not there are left out.

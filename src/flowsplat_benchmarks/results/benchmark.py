@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,6 +16,7 @@ from flowsplat.common.durations import format_duration
 from flowsplat.common.files import make_folder, write_json
 from flowsplat.common.progress import report
 from flowsplat.common.source import source_state
+from flowsplat_benchmarks.clock import by_the_processor
 from flowsplat_benchmarks.results.cells import Cell, choose_cells, list_cells
 from flowsplat_benchmarks.results.jobs import list_missing, measure_cell
 from flowsplat_benchmarks.results.pages import OVERVIEW, format_pages, write_pages
@@ -100,14 +102,20 @@ def _key() -> str:
 
 def _measure(cell: Cell, root: Path, work: Path) -> dict[str, Any]:
     began = time.perf_counter()
-    result = measure_cell(cell, root, work)
+    with by_the_processor() if _counts_processor() else nullcontext():
+        result = measure_cell(cell, root, work)
     return replace(_empty(cell), seconds=round(time.perf_counter() - began, 1), result=result).to_json()
 
 
+def _counts_processor() -> bool:
+    """Return whether seconds in a cell's figures are those of the processor: of one thread they are what the clock of an idle
+    machine would say, and cells beside each other leave them as they are."""
+    return torch.get_num_threads() == 1
+
+
 def _empty(cell: Cell) -> Record:
-    return Record(
-        cell.benchmark, cell.scene, cell.variant, cell.seed, describe_commit(), describe_machine(), torch.get_num_threads()
-    )
+    machine = describe_machine() + (", seconds of the processor" if _counts_processor() else "")
+    return Record(cell.benchmark, cell.scene, cell.variant, cell.seed, describe_commit(), machine, torch.get_num_threads())
 
 
 def _keep_failure(cell: Cell, reason: str, out: Path) -> None:

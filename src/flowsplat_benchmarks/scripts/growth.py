@@ -15,12 +15,10 @@ import math
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import cv2
 import numpy as np
@@ -35,6 +33,7 @@ from flowsplat.priors.graph import PRIORS
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.synthetic import SyntheticScene
+from flowsplat_benchmarks.clock import by_the_processor
 from flowsplat_benchmarks.scripts.cpu_parts.timing import significant, tell
 
 MODULE = "flowsplat_benchmarks.scripts.growth"
@@ -87,8 +86,7 @@ def measure(case: GrowthCase) -> dict[str, Any]:
         config, input=InputOptions(max_frames=case.frames, every=1, resize=case.side), render=RenderOptions(paths=("input",)),
         train=replace(config.train, iterations=TRAINING_STEPS, preview_every=0, init=init), final_fit=False, coarse_scene=False,
     )  # fmt: skip
-    # Stages read this clock, and a run has a process of its own here.
-    with mock.patch.object(time, "perf_counter", time.process_time):
+    with by_the_processor():  # a run has a process of its own here
         metrics = run(Path(case.clip), Path(case.out), config)
     history = json.loads((Path(case.out) / "run.json").read_text())["stages"]
     scene = json.loads((Path(case.out) / "scene" / "scene.json").read_text())

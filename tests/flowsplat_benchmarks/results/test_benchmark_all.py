@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -93,6 +94,23 @@ def test_another_machine_goes_on_from_what_is_kept_with_the_pages(data_root, tmp
     kept.write_text(kept.read_text().replace("aaaaaaa", "ccccccc"))
     call("all", data_root, "-o", tmp_path / "third", *docs, "--seeds", "0")
     assert done[2:] == ["rig_tiny_own_seed0"], "what is kept of another commit is measured"
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_one_thread_is_timed_by_the_processor(tmp_path, monkeypatch, in_this_process, threads):
+    def sleeps(cell, root, work):
+        began = time.perf_counter()
+        time.sleep(0.2)
+        return {"seconds": time.perf_counter() - began}
+
+    clock = time.perf_counter
+    monkeypatch.setattr(benchmark, "measure_cell", sleeps)
+    monkeypatch.setattr(benchmark.torch, "get_num_threads", lambda: threads)
+    found = benchmark._measure(CELLS[0], tmp_path, tmp_path)
+    assert (found["result"]["seconds"] >= 0.2) == (threads > 1), "asleep it takes none of the processor"
+    assert found["seconds"] >= 0.2, "what the whole took is by the clock: the rest is estimated by it"
+    assert ("seconds of the processor" in found["machine"]) == (threads == 1)
+    assert time.perf_counter is clock
 
 
 def test_the_rest_is_estimated_by_what_is_done(tmp_path, monkeypatch):
