@@ -24,7 +24,7 @@ from flowsplat.common.progress import report
 T = TypeVar("T")
 F = TypeVar("F")
 
-_NAME = re.compile(r"[a-z][a-z0-9]*([_-][a-z0-9]+)*")
+_NAME = re.compile(r"[0-9]*[a-z][a-z0-9]*([_-][a-z0-9]+)*")
 """Names become options, keys of files, and parts of the names of files."""
 
 
