@@ -58,4 +58,4 @@ class Exporter:
         return not Path(self.default_name).suffix
 
 
-EXPORTERS: Registry[Exporter] = Registry("format", __name__, "flowsplat.exporters")
+EXPORTERS: Registry[Exporter] = Registry("format", __name__, "flowsplat.exporters", are_values=True)

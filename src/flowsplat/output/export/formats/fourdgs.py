@@ -1,7 +1,7 @@
 """The whole 4D scene as ``.4dgs``, a container of Gaussians that move on straight lines (https://4dgs.dev, version 1, draft).
 
-Curves become pieces: as many Gaussians one after the other (``export/fourdgs/pieces.py``). The camera of the clip is in it twice, as
-a view that players may begin with, and exactly, as a calibrated sensor on its way; and so is the sound. y is up and z backward.
+Curves become pieces: as many Gaussians one after the other (``export/fourdgs/pieces.py``). The clip's camera is in it twice, as a
+view that players may begin with, and exactly, as a calibrated sensor on its way; and its sound is. y is up and z backward.
 """
 
 from __future__ import annotations
@@ -30,4 +30,4 @@ def estimate_bytes(model: SceneModel, scene: Scene, options: ExportOptions) -> i
 
 
 SENTENCE = "Avala AI's .4dgs: the whole scene, its curves as straight pieces; objects, camera and sound."
-EXPORTERS.add(Entry("4dgs", "4DGS", SENTENCE, Exporter(write, estimate_bytes, "scene.4dgs", holds_sound=True), place=45))
+EXPORTERS.add(Entry("4dgs", "4DGS", SENTENCE, Exporter(write, estimate_bytes, "scene.4dgs", holds_sound=True), place=57))

@@ -10,7 +10,6 @@ does not change.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -29,17 +28,17 @@ from flowsplat.splatting.rules import C0
 MAX_CENTER_ERROR = 0.08
 """Pixels of the clip's cameras by which a line may deviate from the curve; rounding comes on top (docs/formats.md, "4dgs")."""
 MAX_SHAPE_ERROR = 0.25
-"""Pixels by which the outline of a Gaussian, one standard deviation from its center, may be elsewhere because it does not turn (docs/formats.md, "4dgs")."""
+"""Pixels by which the outline of a Gaussian, one standard deviation from its center, may be elsewhere because it does not turn
+(docs/formats.md, "4dgs")."""
 MAX_BRIGHTNESS_ERROR = 0.01
 """Of 1, by which brightness may be off because it does not change within a piece (docs/formats.md, "4dgs")."""
 TICKS = 8
 """Borders that there may be from one frame to the next. Chosen by eye."""
 MAX_TICKS = 1 << 15
 """In a clip: of a long one there are fewer a frame. Chosen by eye."""
-BRIGHTNESS_TICKS = 2
-"""Ticks from one time to the next at which brightness is asked for. Chosen by eye."""
 DEPTH_WEIGHT = 0.25
-"""Of an error along the line of sight, beside one of 1 across it: about what a view from 15 degrees aside sees of it. Chosen by eye."""
+"""Of an error along the line of sight, beside one of 1 across it: about what a view from 15 degrees aside sees of it. Chosen by
+eye."""
 MIN_FADE = 0.998
 """Presence at which a Gaussian never fades as far as formats go: two steps of opacity are 1 / 255 apart."""
 MAX_PARTS = 8
@@ -179,7 +178,6 @@ def _cut_resting(gaussians: Gaussians4D, rows: Tensor, views: ClipViews) -> Piec
     """Cut those at rest where their brightness changes, each piece as long as it may be."""
     params, steps = gaussians.params, views.steps
     log_gains = params["log_gains"][rows]
-    ticks = [*range(0, steps, BRIGHTNESS_TICKS), steps]
     level = (params["sh"][rows, 0] * C0 + 0.5).clamp(0, 1).amax(1) * torch.sigmoid(params["logit_opacities"][rows])
     may_differ = 2 * MAX_BRIGHTNESS_ERROR / level.clamp(min=1e-6)
     numbers = torch.arange(len(rows))
@@ -191,8 +189,8 @@ def _cut_resting(gaussians: Gaussians4D, rows: Tensor, views: ClipViews) -> Piec
     begin = torch.zeros(len(rows), dtype=torch.int64)
     low = high = before = gains_at(0)
     found: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
-    for tick, following in itertools.pairwise(ticks):
-        gains = gains_at(following)
+    for tick in range(steps):
+        gains = gains_at(tick + 1)
         lower, higher = torch.minimum(low, gains), torch.maximum(high, gains)
         ends = (higher - lower > may_differ) & (begin < tick)
         found.append((numbers[ends], begin[ends], torch.full_like(begin[ends], tick), (low + high)[ends] / 2))
@@ -219,7 +217,11 @@ def _cut_moving(gaussians: Gaussians4D, rows: Tensor, views: ClipViews) -> Piece
     first = (begins * steps).floor().long().clamp(0, steps - 1)
     last = torch.maximum((ends * steps).ceil().long().clamp(max=steps), first + 1)
     pending = (torch.arange(len(curves)), first, last)
-    found: list[tuple[Tensor, ...]] = []
+    none = torch.zeros(0, dtype=torch.float64)
+    vectors, integers = none.expand(3, 0).T, none.long()
+    found: list[tuple[Tensor, ...]] = [
+        (integers, integers, integers, none, none, vectors, vectors, none.float().expand(4, 0).T, vectors.float())
+    ]
     while len(pending[0]):
         again = []
         for batch, count in _batches(pending[2] - pending[1], steps):
