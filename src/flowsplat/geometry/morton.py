@@ -9,8 +9,8 @@ CURVE_BITS = 10
 
 
 def order_along_curve(points: np.ndarray) -> np.ndarray:
-    """Return the numbers [N] of points [N, 3] in the order of a Morton curve through the ranks of their coordinates, which no outlier
-    can stretch."""
+    """Return the numbers [N] of points [N, 3] in the order of a Morton curve through the ranks of their coordinates, which no
+    outlier can stretch."""
     code = np.zeros(len(points), np.int64)
     for axis in range(3):
         ranks = np.empty(len(points), np.int64)

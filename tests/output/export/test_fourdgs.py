@@ -213,7 +213,7 @@ def test_what_moves_on_a_line_is_one_piece(tmp_path):
 def test_brightness_changes_with_time(tmp_path):
     """In steps that are as small as is said."""
     model = flat(small_model(replace(OURS, sh_degree=0), moving=0))
-    model.gaussians.params["log_gains"] *= 0.3  # as it is, it changes by more within the shortest time of a piece
+    model.gaussians.params["log_gains"] *= 0.15  # as it is, it changes by more within the shortest time of a piece
     scene = fourdgs.read(exported(tmp_path, model))
     changes = 0.0
     for seconds in BETWEEN:
@@ -222,10 +222,10 @@ def test_brightness_changes_with_time(tmp_path):
         own = (C0 * still.sh[:, 0] + 0.5).clamp(0, 1).numpy()
         # What is brighter than can be stored may be off by more, and what is hardly opaque by as much as shows as little.
         unclipped = ((own > 0.01) & (own < 0.99)).all(1)
-        allowed = 0.01 / still.opacities.numpy()[unclipped, None] + 0.003
+        allowed = 0.006 / still.opacities.numpy()[unclipped, None] + 0.003
         assert (np.abs(colors - own)[unclipped] <= allowed).all()
         changes = max(changes, float(np.abs(own - still_at(model, FIRST).colors.numpy()).max()))
-    assert changes > 0.05
+    assert changes > 0.02
 
 
 def test_colors_that_cannot_be_stored_look_right_along_the_path(tmp_path):
@@ -357,7 +357,7 @@ def test_how_many_it_became_and_how_far_off_they_are_is_told(tmp_path, capsys):
     scene = fourdgs.read(path)
     assert int(count.replace(",", "")) == len(model.gaussians)
     assert int(pieces.replace(",", "")) == scene.gaussians.count
-    measured = max(pixels_off(scene, model, seconds)[0].max() for seconds in np.linspace(FIRST, LAST, 60))
+    measured = max(pixels_off(scene, model, seconds)[0].max() for seconds in np.linspace(FIRST, LAST, 25))
     assert 0.7 * float(off) < measured < float(off) + 0.01
     assert float(off) < 0.1
 
@@ -388,7 +388,7 @@ def test_a_scene_of_which_nothing_is_shown_is_an_empty_file(tmp_path):
 
 
 def test_the_command_writes_it(tmp_path, capsys):
-    run = small_run(tmp_path / "run", small_model())
+    run = small_run(tmp_path / "run", small_model(STEADY))
     main(["export", str(run), "--to", "4dgs", "-o", str(tmp_path / "all.4dgs")])
     told = capsys.readouterr().err
     assert "how brightness varies inside is left out" in told

@@ -25,12 +25,12 @@ from flowsplat.geometry.paths import CameraPath
 from flowsplat.geometry.rotations import covariances, normalize_quats, principal_axes
 from flowsplat.splatting.rules import C0
 
-MAX_CENTER_ERROR = 0.08
+MAX_CENTER_ERROR = 0.06
 """Pixels of the clip's cameras by which a line may deviate from the curve; rounding comes on top (docs/formats.md, "4dgs")."""
 MAX_SHAPE_ERROR = 0.25
 """Pixels by which the outline of a Gaussian, one standard deviation from its center, may be elsewhere because it does not turn
 (docs/formats.md, "4dgs")."""
-MAX_BRIGHTNESS_ERROR = 0.01
+MAX_BRIGHTNESS_ERROR = 0.006
 """Of 1, by which brightness may be off because it does not change within a piece (docs/formats.md, "4dgs")."""
 TICKS = 8
 """Borders that there may be from one frame to the next. Chosen by eye."""
