@@ -291,6 +291,17 @@ def test_its_camera_moves_as_that_of_the_clip(tmp_path):
     assert camera.times[-1] == pytest.approx(LAST - FIRST)
 
 
+def test_that_its_camera_does_not_zoom_is_told(tmp_path, capsys):
+    model = flat(small_model(STEADY))
+    exported(tmp_path, model)
+    assert "does not zoom" not in capsys.readouterr().err
+    cameras = [replace(camera, K=camera.K * [[1 + 0.02 * k], [1 + 0.02 * k], [1]]) for k, camera in enumerate(small_cameras(model))]
+    Scene(tmp_path / "scene").write_cameras(cameras)
+    path = export_scene(model, Scene(tmp_path / "scene"), "4dgs", tmp_path / "zoom.4dgs", ExportOptions())
+    assert "its camera does not zoom as the clip's does" in capsys.readouterr().err
+    assert fourdgs.read(path).provenance.sensors[0].fx == pytest.approx(80)
+
+
 def add_sound(folder: Path) -> np.ndarray:
     """Give a scene a tone that begins half a second before its first frame; return what is heard, at 48000 samples a second."""
     wave = 0.3 * np.sin(np.arange(48000 * 4) * (2 * np.pi * 440 / 48000))

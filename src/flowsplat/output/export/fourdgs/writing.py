@@ -29,13 +29,15 @@ MIN_CHUNK_TICKS = 16 * TICKS
 more where it is halved)."""
 MIN_CHUNK_PIECES = 4096
 """With fewer an interval has no chunk of its own. Chosen by eye."""
+MAX_ZOOM = 1e-3
+"""Share of the focal length by which it may change before it is said that the file's does not. Chosen by eye."""
 POSES_A_FRAME = 4
 """Of the camera: between them readers know straight lines only. Chosen by eye."""
 _ASKED_GAUSSIANS = 1000
 """How many are cut to tell how large a file will be. Chosen by eye."""
-_BYTES_EACH = 16, 3, 6
+_BYTES_EACH = 16, 3, 4.5
 """What a Gaussian takes, each of its harmonics beyond the first, and each piece of it: on a trained scene of 77,239 Gaussians with
-harmonics of degree 1 and on drawn ones of degrees 1 to 3 that is .7 to 1.3 times what they take."""
+harmonics of degree 1 and on drawn ones of degrees 1 to 3 that is .6 to 1.4 times what they take."""
 _REST_BYTES = 20_000
 """Of cameras and windows. Chosen by eye."""
 
@@ -67,6 +69,8 @@ def write_scene(path: Path, model: SceneModel, scene: Scene, *, has_sound: bool)
         f"4dgs: {len(torch.unique(pieces.rows)):,} Gaussians became {len(pieces):,} that move on straight lines; centers that the "
         f"clip's cameras see are off by at most {off}, also between frames; {'with' if sound else 'without'} sound."
     )
+    if np.ptp([camera.K[0, 0] for camera in scene.cameras]) > MAX_ZOOM * first.K[0, 0]:
+        report("4dgs: its camera does not zoom as the clip's does.")
 
 
 def estimate_scene_bytes(model: SceneModel, scene: Scene) -> int:
