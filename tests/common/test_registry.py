@@ -121,6 +121,14 @@ def test_an_option_takes_the_names_and_its_help_says_what_they_are(curves: Make,
         assert words in " ".join((told.out + told.err).replace("│", " ").split())
 
 
+def test_names_that_are_values_only_may_begin_with_a_digit() -> None:
+    curves: Registry[int] = Registry("curve", are_values=True)
+    curves.add(Entry("1st", "First", "Is first.", 1))
+    assert curves["1st"] == 1
+    with pytest.raises(ValueError, match="cannot be the name of a curve"):
+        curves.add(Entry("12", "Twelve", "Is a number.", 12))
+
+
 @pytest.mark.parametrize("name", ["", "Line", "a b", "../up", "-x", "1st", "a--b", "a.b", "ä"])
 def test_names_that_could_be_no_option_are_refused(name: str) -> None:
     with pytest.raises(ValueError, match="cannot be the name of a curve"):

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from flowsplat.common.errors import InputError
+from flowsplat.gaussians import shadows
 from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.model_config import ModelConfig
@@ -47,6 +48,17 @@ def wall(middles: np.ndarray) -> tuple[SceneModel, list[np.ndarray]]:
         mask[16:32, max(int(middle) - 6, 0) : int(middle) + 6] = 1
     gaussians = Gaussians4D(params, torch.zeros(count, dtype=torch.bool), config)
     return SceneModel(gaussians, Similarity(1.0, np.eye(3), np.zeros(3)), 0.0, 1.0), masks
+
+
+def test_a_curve_is_fitted_as_by_sums_over_products():
+    rng = np.random.default_rng(0)
+    times, gains = 30, 7
+    cosines = torch.cos(math.pi * torch.linspace(0, 1, times, dtype=torch.float64)[:, None] * torch.arange(1, gains + 1))
+    target, weight = rng.normal(0, 0.1, (50, times)), np.where(rng.random((50, times)) < 0.6, 1.0, shadows.UNSEEN_WEIGHT)
+    A = np.concatenate([np.ones((times, 1)), cosines.numpy()], 1)
+    held = shadows.GAIN_STIFFNESS * times * np.diag([0, *range(1, gains + 1)])
+    expected = [np.linalg.solve(A.T * w @ A + held, A.T @ (w * b)) for b, w in zip(target, weight, strict=True)]
+    np.testing.assert_allclose(shadows._fit(target, weight, cosines), expected, atol=1e-7)
 
 
 def test_a_shadow_that_goes_by_is_gone_from_the_background_alone():

@@ -84,11 +84,11 @@ def test_the_recipes_work_to_the_letter(installed, tmp_path):
 
 
 def test_the_table_of_formats_is_that_of_the_registry():
-    rows = re.findall(r"^\| `([a-z-]+)` \| `([^`]+)` \|", (TOP / "docs" / "formats.md").read_text(), re.M)
+    rows = re.findall(r"^\| `([a-z0-9-]+)` \| `([^`]+)` \|", (TOP / "docs" / "formats.md").read_text(), re.M)
     there = [(entry.name, entry.value.default_name + "/" * entry.value.is_folder) for entry in EXPORTERS.entries()]
     assert rows == there
     line = (TOP / "README.md").read_text().split("**Take it elsewhere**")[1].split("are for other programs")[0]
-    named = re.findall(r"`([a-z-]+)`", line)
+    named = re.findall(r"`([a-z0-9-]+)`", line)
     assert len(named) > 5
     assert set(named) <= set(EXPORTERS.names())
 

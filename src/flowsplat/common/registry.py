@@ -59,9 +59,11 @@ class Registry(Generic[T]):
         (9.0, ('square',))
     """
 
-    def __init__(self, what: str, package: str | None = None, group: str | None = None):
-        """``what``: one of its members is called; ``package``: whose modules are members; ``group``: of entry points."""
+    def __init__(self, what: str, package: str | None = None, group: str | None = None, *, are_values: bool = False):
+        """``what``: one of its members is called; ``package``: whose modules are members; ``group``: of entry points;
+        ``are_values``: names are no options, but only values of one, and may begin with a digit."""
         self.what = what
+        self._pattern = re.compile(f"[0-9]?{_NAME.pattern}") if are_values else _NAME
         self._package, self._group = package, group
         self._found: dict[str, Entry[T]] = {}
         self._is_loaded = self._is_loading = False
@@ -73,7 +75,7 @@ class Registry(Generic[T]):
         Raises:
             ValueError: its name cannot be one, or another has it.
         """
-        if not _NAME.fullmatch(entry.name):
+        if not self._pattern.fullmatch(entry.name):
             raise ValueError(f"{entry.name!r} cannot be the name of a {self.what}: give small letters, digits, - and _.")
         if entry.name in self._found:
             raise ValueError(f"there is a {self.what} {entry.name!r} already.")

@@ -174,13 +174,25 @@ def _exposure(values: np.ndarray, chosen: np.ndarray) -> np.ndarray:
 
 
 def _fit(target: np.ndarray, weight: np.ndarray, cosines: torch.Tensor) -> torch.Tensor:
-    """Return a constant and gains [N, 1 + G] whose curves are nearest to ``target`` [N, T], by its ``weight``."""
+    """Return a constant and gains [N, 1 + G] whose curves are nearest to ``target`` [N, T], by its ``weight``.
+
+    Args:
+        cosines: [T, G] cos(pi k t) of k = 1 ... G.
+    """
     T, G = cosines.shape
     A = torch.cat([torch.ones(T, 1, dtype=torch.float64), cosines], 1)
+    # 2 cos(k x) cos(l x) = cos((k + l) x) + cos((k - l) x): normal equations follow from the sums of 2 G cosines. Summed over products
+    # they would cost frames x gains^2 of each Gaussian, and gains grow with the frames.
+    angles = torch.arccos(cosines[:, :1].clamp(-1, 1)) if G else torch.zeros(T, 1, dtype=torch.float64)
+    twice = torch.cos(angles * torch.arange(2 * G + 1))
+    k = torch.arange(G + 1)
+    above, below = k[:, None] + k, (k[:, None] - k).abs()
     held = GAIN_STIFFNESS * T * torch.diag(torch.cat([torch.zeros(1), torch.arange(1.0, G + 1)]).double())
+    held += 1e-9 * torch.eye(G + 1, dtype=torch.float64)
     parts, rows = [], max(min(_ROWS_AT_A_TIME, _NUMBERS_AT_A_TIME // A.numel()), 1)
     for start in range(0, len(target), rows):
         w, b = torch.from_numpy(weight[start : start + rows]), torch.from_numpy(target[start : start + rows])
-        normal = torch.einsum("tp,nt,tq->npq", A, w, A) + held + 1e-9 * torch.eye(G + 1, dtype=torch.float64)
-        parts.append(torch.linalg.solve(normal, torch.einsum("tp,nt->np", A, w * b)))
+        sums = w @ twice
+        normal = (sums[:, above] + sums[:, below]) / 2 + held
+        parts.append(torch.cholesky_solve(((w * b) @ A)[..., None], torch.linalg.cholesky(normal))[..., 0])
     return torch.cat(parts)

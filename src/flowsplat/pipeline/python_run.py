@@ -117,7 +117,7 @@ def run(
 
 def export(
     source: Run | str | Path, to: str, out: str | Path | None = None, *, time: float | None = None, flip_axes: bool = False,
-    max_gaussians: int | None = None, size_mb: float | None = None, embed: bool = False,
+    max_gaussians: int | None = None, size_mb: float | None = None, embed: bool = False, sound: bool = True,
 ) -> Path:  # fmt: skip
     """Write a trained run in the format of other programs, or as a page that plays it.
 
@@ -130,6 +130,7 @@ def export(
         max_gaussians: keep at most this many: those without which the training frames would change most. None = all.
         size_mb: millions of bytes that the file may have: as many Gaussians are kept as have room. None = any size.
         embed: of the page, also tell the line of HTML that shows it in another page.
+        sound: put the clip's sound in, where the format has a place for it.
 
     Returns:
         what was written: a file or a folder.
@@ -143,7 +144,7 @@ def export(
         PosixPath('out/scene.ply')
     """
     run = source if isinstance(source, Run) else Run(source)
-    options = ExportOptions(time=time, flip_axes=flip_axes, max_gaussians=max_gaussians, size_mb=size_mb, embed=embed)
+    options = ExportOptions(time=time, flip_axes=flip_axes, max_gaussians=max_gaussians, size_mb=size_mb, embed=embed, sound=sound)
     return export_scene(run.model, run.scene, to, out, options, stages.one_color_of(run.folder))
 
 

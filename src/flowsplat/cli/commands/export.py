@@ -52,7 +52,10 @@ def build(defaults: RunConfig) -> Callable[..., None]:
 def _describe(entry: Entry[Exporter]) -> str:
     """Say what a format is, and which options are for it that are not for all."""
     value = entry.value
-    options = {"--time": value.is_of_one_time, "--flip-axes": value.can_flip_axes, "--embed": value.embed is not None}
+    options = {
+        "--time": value.is_of_one_time, "--flip-axes": value.can_flip_axes, "--embed": value.embed is not None,
+        "--no-sound": value.holds_sound,
+    }  # fmt: skip
     taken = ", ".join(option for option, is_taken in options.items() if is_taken)
     return f"{entry.name}: {entry.sentence.rstrip('.')}{f' ({taken})' if taken else ''}."
 

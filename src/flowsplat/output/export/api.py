@@ -144,6 +144,9 @@ def _check(model: SceneModel, to: str, options: ExportOptions) -> None:
     if options.embed and exporter.embed is None:
         can = ", ".join(entry.name for entry in entries if entry.value.embed is not None)
         raise InputError(f"--embed is for {can}, not for {to}.")
+    if not options.sound and not exporter.holds_sound:
+        can = ", ".join(entry.name for entry in entries if entry.value.holds_sound)
+        raise InputError(f"--no-sound is for {can}: {to} never holds sound.")
     if not len(model.gaussians):
         raise InputError("The scene has no Gaussians: there is nothing to export.")
 

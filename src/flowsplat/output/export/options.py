@@ -23,3 +23,5 @@ class ExportOptions:
     (--crop=-1,-1,0.5,1,1,3). None = all."""
     embed: bool = False
     """Of the page, also tell the line of HTML that shows it in another page, such as a blog: playing, without its controls."""
+    sound: bool = True
+    """Put the clip's sound in, where the format has a place for it."""

@@ -27,6 +27,7 @@ from flowsplat.gaussians.render import FILLED_FROM, FILLED_TO, render
 from flowsplat.gaussians.slicing import Slice
 from flowsplat.gaussians.slopes import image_slopes
 from flowsplat.geometry import Camera
+from flowsplat.geometry.morton import order_along_curve
 from flowsplat.geometry.rotations import normalize_quats, principal_axes
 from flowsplat.output.page_reader import PageScene
 from flowsplat.output.player.chebyshev import MIN_LOG_PRECISION, find_seen_in_clip, fit_motion
@@ -265,13 +266,5 @@ def _resolution(gaussians: Gaussians4D, cameras: Sequence[Camera]) -> np.ndarray
 
 
 def _along_curve(gaussians: Gaussians4D, rows: torch.Tensor) -> torch.Tensor:
-    """Return rows in the order of a Morton curve through the ranks of their coordinates, which no outlier can stretch."""
-    means = gaussians.params["means"][rows].numpy()
-    code = np.zeros(len(means), np.int64)
-    for axis in range(3):
-        ranks = np.empty(len(means), np.int64)
-        ranks[np.argsort(means[:, axis], kind="stable")] = np.arange(len(means))
-        cells = ranks * 1024 // max(len(means), 1)
-        for bit in range(10):
-            code |= ((cells >> bit) & 1) << (3 * bit + axis)
-    return rows[torch.from_numpy(np.argsort(code, kind="stable"))]
+    """Return rows in the order in which neighbors follow each other."""
+    return rows[torch.from_numpy(order_along_curve(gaussians.params["means"][rows].numpy()))]

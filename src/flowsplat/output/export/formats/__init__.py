@@ -30,6 +30,7 @@ class Exporter:
         is_of_one_time: it shows the scene at one time, and takes ``time``.
         can_flip_axes: it takes ``flip_axes``.
         has_gaussians: it takes ``max_gaussians`` and, as one file, ``size_mb``; otherwise it has the cameras alone.
+        holds_sound: the clip's sound may be in it; it takes ``sound``.
         keeps_slopes: brightness may vary inside its Gaussians; otherwise each has one color, and what is lost is told.
         reader: dotted name of what in flowsplat reads it back.
         note: what is told of a file that was written: what of the clip it holds.
@@ -45,6 +46,7 @@ class Exporter:
     can_flip_axes: bool = False
     has_gaussians: bool = True
     keeps_slopes: bool = False
+    holds_sound: bool = False
     reader: str | None = None
     note: str | None = None
     embed: Callable[[Path, Scene], str] | None = None
@@ -56,4 +58,4 @@ class Exporter:
         return not Path(self.default_name).suffix
 
 
-EXPORTERS: Registry[Exporter] = Registry("format", __name__, "flowsplat.exporters")
+EXPORTERS: Registry[Exporter] = Registry("format", __name__, "flowsplat.exporters", are_values=True)
