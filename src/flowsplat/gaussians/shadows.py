@@ -181,8 +181,8 @@ def _fit(target: np.ndarray, weight: np.ndarray, cosines: torch.Tensor) -> torch
     """
     T, G = cosines.shape
     A = torch.cat([torch.ones(T, 1, dtype=torch.float64), cosines], 1)
-    # 2 cos(k x) cos(l x) = cos((k + l) x) + cos((k - l) x): normal equations follow from the sums of 2 G cosines. Summed over products
-    # they would cost frames x gains^2 of each Gaussian, and gains grow with the frames.
+    # 2 cos(k x) cos(l x) = cos((k + l) x) + cos((k - l) x): normal equations follow from the sums of 2 G cosines. Summed over
+    # products they would cost frames x gains^2 of each Gaussian, and gains grow with the frames.
     angles = torch.arccos(cosines[:, :1].clamp(-1, 1)) if G else torch.zeros(T, 1, dtype=torch.float64)
     twice = torch.cos(angles * torch.arange(2 * G + 1))
     k = torch.arange(G + 1)
