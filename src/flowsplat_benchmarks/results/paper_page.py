@@ -61,7 +61,9 @@ def _shorten(table: Table, with_scenes: bool) -> Table:
     kept = [
         k for k in range(len(header)) if any(row[k] not in empty for row in table.rows) and (with_scenes or header[k] != "ours of")
     ]
-    rows, strong, absent = [], [], []
+    rows: list[tuple[str, ...]] = []
+    strong: list[int] = []
+    absent: list[str] = []
     for number, row in enumerate(table.rows):
         if row[0].endswith(paper.MOTION_ALONE) and all(cell in empty for cell in row[1:-1]):
             absent.append(row[0])
