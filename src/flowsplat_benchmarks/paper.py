@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,11 +27,14 @@ MODELS = {entrant.paper.replace("Dynamic Gaussian Marbles", "DG Marbles"): entra
 """Rows of the paper whose motion benchmark models has. The paper's Deformable 3DGS is Deformable 3D Gaussians."""
 MODELS["Deformable 3DGS"] = MODELS.pop("Deformable 3D Gaussians")
 OURS = "Flow Splatting"
+MOTION_ALONE = "motion alone"
+"""Behind the name of a method whose motion was measured in our trainer. Such rows compare with each other alone."""
 REMARKS = (
     "Published figures are the paper's, of its own scenes, priors, hardware and splits; ours are of the scenes that are named, by "
     "this implementation. A row compares only as far as its last column allows. What was not measured says so.",
-    "Ours in the rows of other methods are their motion models in our trainer: same start, priors, losses and steps as the series, "
-    "held-out times in gaps (benchmark models). They are no reproduction of those systems.",
+    "Rows *motion alone* are motion models, also that of Flow Splatting, in our trainer: same start, priors, losses and steps, "
+    "held-out times in gaps (benchmark models). They compare with each other and with no other row, and are no reproduction of "
+    "those systems.",
 )
 
 
@@ -104,7 +107,7 @@ def _tell(results: Sequence[Result]) -> str:
 
 
 def _find_ours(method: str, results: Sequence[Result], scenes: Sequence[str]) -> _Ours:
-    """Return what stands beside a row of the paper's comparisons on these scenes, but for its own method."""
+    """Return what was measured on these scenes of a method's motion or field, all methods by the same test."""
     results = [result for result in results if str(result["scene"]).casefold() in {scene.casefold() for scene in scenes}]
     if method in FIELDS:
         found = _of(results, "fields", FIELDS[method])
@@ -146,21 +149,19 @@ def _tabulate_davis(title: str, known: dict[str, Any], results: Sequence[Result]
     for method, figures in known["methods"].items():
         cells = [text(value, DIGITS[metric]) for value in figures[metric]]
         rows.append((f"{method}, published", *cells, text(mean_of(figures[metric]), DIGITS[metric]), ""))
+        alone = _find_ours(method, results, known["scenes"])
+        groups = [(MOTION_ALONE, alone, alone.differs)]
         if method == OURS:
             found = _of(results, "davis")
-            hows = list(dict.fromkeys(f"{each['variant']}, {each['settings']}" for each in found)) or [""]
-            groups = [
-                _Ours([each for each in found if f"{each['variant']}, {each['settings']}" == how], ("ours",), how) for how in hows
-            ]
-        else:
-            groups = [_find_ours(method, results, known["scenes"])]
-        for group in groups:
+            for how in dict.fromkeys(f"{each['variant']}, {each['settings']}" for each in found) or [""]:
+                group = _Ours([each for each in found if f"{each['variant']}, {each['settings']}" == how], ("ours",), how)
+                groups.append(("ours", group, f"{how}; {_tell(group.results)}" if group.results else ""))
+        for name, group, differs in groups:
             of_scenes = [group.score(metric, scene) for scene in known["scenes"]]
-            differs = (f"{group.differs}; {_tell(group.results)}" if method == OURS else group.differs) if group.results else ""
-            if method == OURS:
+            if name == "ours":
                 strong.append(len(rows))
             mean = NOT_MEASURED if NOT_MEASURED in of_scenes else text(mean_of(map(float, of_scenes)), DIGITS[metric])
-            rows.append((f"{method}, ours", *of_scenes, mean, differs))
+            rows.append((f"{method}, {name}", *of_scenes, mean, differs))
     header = ("method", *known["scenes"], "mean", "what differs")
     note = f"Published: {known['source']}. A mean is of all scenes, or left out."
     return Table(title, note, header, rows, tuple(strong))
@@ -172,9 +173,11 @@ def _tabulate_davis(title: str, known: dict[str, Any], results: Sequence[Result]
 def _tabulate_ablation(title: str, known: dict[str, Any], results: Sequence[Result]) -> Table:
     labels = {claim.variant.name: claim.variant.label for claim in CLAIMS} | {"full": "all of it"}
     counted = len(known["columns"]) > len(METRICS)
+    found = {name: _of(results, "ablations", name) for name in known["rows"]}
+    shared = _find_shared_scenes(found.values())
     rows = []
     for name, values in known["rows"].items():
-        ours = _Ours(_of(results, "ablations", name), (), "")
+        ours = _Ours([each for each in found[name] if not shared or each["scene"] in shared], (), "")
         cells = [text(value, DIGITS[metric]) for value, metric in zip(values, METRICS, strict=False)]
         cells += [ours.score(metric) for metric in METRICS]
         if counted:
@@ -186,5 +189,12 @@ def _tabulate_ablation(title: str, known: dict[str, Any], results: Sequence[Resu
     header = ["", *(f"{NAMES[metric]}, {whose}" for whose in ("paper", "ours") for metric in METRICS)]
     if counted:
         header += [f"Gaussians{which}, thousand, {whose}" for whose in ("paper", "ours") for which in ("", " active")]
-    note = f"Published: {known['source']}, means over scenes that it does not name. Ours: means over scenes of means over seeds."
+    note = f"Published: {known['source']}, means over scenes that it does not name. Ours: means over scenes of means over seeds"
+    note += ", of the scenes that all rows have that were measured." if shared else "; no scene was measured in all rows."
     return Table(title, note, (*header, "what differs"), rows)
+
+
+def _find_shared_scenes(of_rows: Iterable[Sequence[Result]]) -> set[str]:
+    """Return the scenes that every row has that was measured, so that means compare; none where they share none."""
+    measured = [{str(each["scene"]) for each in found} for found in of_rows if found]
+    return set.intersection(*measured) if measured else set()

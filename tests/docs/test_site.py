@@ -156,6 +156,21 @@ def test_the_site_shows_the_real_help(site, capsys):
     assert "--max-gaussians" in page
 
 
+def test_pages_that_are_made_say_outside_the_site_where_their_text_is(site):
+    pages = [path for path in DOCS.rglob("*.md") if "<!-- outside the site -->" in path.read_text(encoding="utf-8")]
+    assert {path.name for path in pages} == {"filming.md", "commands.md", "contributing.md", "changelog.md"}
+    for path in pages:
+        told = re.findall(r"<!-- outside the site -->\n(.*?)<!-- end -->", path.read_text(encoding="utf-8"), re.S)
+        links = re.findall(r"\]\(([^)]+)\)", "".join(told))
+        assert len(told) == 1
+        assert links, path.name
+        assert all((path.parent / link).exists() for link in links), path.name
+        assert "<!--" not in (made := (site / f"{path.stem}.html").read_text(encoding="utf-8").split("<article")[1]), path.name
+        assert "The site shows" not in made, path.name
+    assert "Set up and test" in (site / "contributing.html").read_text(encoding="utf-8")
+    assert "One command from a video to a scene" in (site / "changelog.html").read_text(encoding="utf-8")
+
+
 def test_the_site_shows_docstrings(site):
     page = (site / "api.html").read_text(encoding="utf-8")
     for name in ("splatting.api.rasterize", "gaussians.gaussians4d.Gaussians4D", "scenes.scene.Scene", "pipeline.python_run.run"):

@@ -1,7 +1,7 @@
 """Objects nearer or farther than they were trained: the one thing about an object that no image of the clip tells.
 
 An object whose places and sizes are multiplied by one number k about the center of the clip's camera, at every time about where the
-camera is at that time, looks the same in all of the clip's own frames but for who hides whom:
+camera is at that time, looks the same in all of the clip's own frames except for which object covers which:
 
     X' = C(t) + k (X - C(t))
 

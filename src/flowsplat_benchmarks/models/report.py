@@ -126,9 +126,15 @@ def _choose_best(measured: Sequence[Entrant], scenes: Mapping[str, str], results
             gain = "" if base is None or best == BASE.variant.name else f" ({text(found[best] - base, column.digits, True)})"
             cells.append(f"{best}{gain}" if best else NOTHING)
         rows.append((name, *cells))
+    is_one = len({result["seed"] for result in results}) < 2
     note = (
-        "By means over seeds; in brackets the difference from the series, which stands where no other is "
-        f"{EVEN_DECIBELS:g} dB better. Whether a difference is more than the spread, the table of held-out times tells."
+        f"{'Of one seed' if is_one else 'By means over seeds'}; in brackets the difference from the series, which stands where no "
+        f"other is {EVEN_DECIBELS:g} dB better. "
+        + (
+            "By how much another seed would change it was not measured."
+            if is_one
+            else "Whether a difference is more than the spread, the table of held-out times tells."
+        )
     )
     return Table("Which is best where", note, ("", *(column.header for column, _ in CRITERIA)), rows)
 

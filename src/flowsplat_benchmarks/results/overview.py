@@ -25,10 +25,10 @@ def format_overview(records: Records) -> str:
     measured = "; ".join(f"{', '.join(commits)} on {machine}" for machine, commits in machines.items()) or NOT_MEASURED
     lines = [
         "---", "hide: [toc]", "---", "", "# Results at a glance", "",
-        "**Along the clip's own path**: PSNR in dB of held-out frames of DAVIS at 854x480, in brackets inside the masks of what "
-        "moves. Published figures are those of the Flow Splatting paper, with learned priors and on held-out frames that it does "
-        "not name; ours have own priors and given masks. Settings were chosen on all clips and scenes of this page but lucia and "
-        "dance-twirl. [More](real_clips.md), [the paper's tables](paper.md).", "",
+        "**Along the clip's own path**: PSNR in dB of held-out frames of DAVIS at 854x480, in brackets of the pixels that move "
+        "alone (inside the given masks). Published figures are those of the Flow Splatting paper, with learned priors and on "
+        "held-out frames that it does not name; ours have own priors and given masks. Settings were chosen on all clips and "
+        "scenes of this page but lucia and dance-twirl. [More](real_clips.md), [the paper's tables](paper.md).", "",
         *quality, "",
         "**From aside**: the same of cameras beside the path of rendered scenes. True priors tell what is left when cameras, "
         "depth, masks and flow are right. [More](rendered_scenes.md), [priors](priors.md), [distances of objects](objects.md).", "",

@@ -10,7 +10,7 @@ from flowsplat.images.html import NOTHING
 from flowsplat_benchmarks import paper
 from flowsplat_benchmarks.datasets.tables import read_published
 from flowsplat_benchmarks.results.records import Record
-from flowsplat_benchmarks.results.rows import Records, Row
+from flowsplat_benchmarks.results.rows import Records, Row, add_missing
 from flowsplat_benchmarks.tables import Table
 
 WORDY = re.compile(
@@ -44,11 +44,14 @@ def list_paper_tables(records: Records) -> list[Table]:
     told = "; ".join(f"{name} at {', '.join(known)}" for name, known in commits.items() if known)
     note = f"Ours in all tables: {told or paper.NOT_MEASURED}." + (f" Failed: {', '.join(failed)}." if failed else "")
     shown = [_shorten(each, with_scenes="Table 5" not in each.title) for each in tables]
-    return [replace(each, note=note if each is shown[0] else "") for each in shown]
+    return [
+        replace(each, note="\n\n".join(part for part in (note if each is shown[0] else "", each.note) if part)) for each in shown
+    ]
 
 
 def _shorten(table: Table, with_scenes: bool) -> Table:
-    """Leave out columns in which nothing is measured, and what the page says once of all rows.
+    """Leave out columns in which nothing is measured, and what the page says once of all rows; rows of motion alone in which
+    nothing is measured are named in the note.
 
     Args:
         with_scenes: whether the column stays that tells what is measured.
@@ -58,12 +61,19 @@ def _shorten(table: Table, with_scenes: bool) -> Table:
     kept = [
         k for k in range(len(header)) if any(row[k] not in empty for row in table.rows) and (with_scenes or header[k] != "ours of")
     ]
-    rows = []
-    for row in table.rows:
+    rows: list[tuple[str, ...]] = []
+    strong: list[int] = []
+    absent: list[str] = []
+    for number, row in enumerate(table.rows):
+        if row[0].endswith(paper.MOTION_ALONE) and all(cell in empty for cell in row[1:-1]):
+            absent.append(row[0])
+            continue
+        if number in table.strong:
+            strong.append(len(rows))
         cells = [WORDY.sub("", row[k]) for k in kept]
         missing = [k for k, cell in enumerate(cells) if cell == paper.NOT_MEASURED]
-        has_ours = any(cell not in empty for cell in cells[1:-1]) and row[0].endswith(", ours")
+        has_ours = any(cell not in empty for cell in cells[1:-1]) and row[0].endswith((", ours", paper.MOTION_ALONE))
         for k in missing[0 if has_ours else 1 :]:
             cells[k] = NOTHING
         rows.append(tuple(cells))
-    return replace(table, header=tuple(header[k] for k in kept), rows=rows)
+    return replace(table, note=add_missing("", absent), header=tuple(header[k] for k in kept), rows=rows, strong=tuple(strong))

@@ -14,7 +14,7 @@ from flowsplat_benchmarks.priors.scenes import TUNED
 from flowsplat_benchmarks.results.records import Record
 from flowsplat_benchmarks.tables import TUNED_MARK, Table, text
 
-NOT_MEASURED, FAILED = "not measured", "failed"
+NOT_MEASURED, FAILED, MISSING = "not measured", "failed", "Not measured yet"
 MEASURED_AT = "measured at"
 FIGURES_OF = {"refined": "ours", "training_frames": "ours", "ssim": "psnr", "moving": "psnr", "covisible": "psnr"}
 """Figures of a result that stand beside others in a table, and are taken from no other commit than those."""
@@ -173,20 +173,43 @@ def make_table(
     title: str, note: str, rows: Sequence[tuple[str, Row]], columns: Sequence[Shown | tuple[str, Cell]], first: str = "",
     strong: Sequence[int] = (),
 ) -> Table:  # fmt: skip
-    """Return a table with a row each, and behind it at which commit it was measured; one of which there is nothing says so.
+    """Return a table with a row each, and behind it at which commit it was measured; those of which there is nothing are named
+    in its note.
 
     Args:
         columns: figures, or a header and what writes the cell of a row.
         first: what stands over the names of the rows.
+        strong: which of the rows are bold.
     """
     headers = [column.header if isinstance(column, Shown) else column[0] for column in columns]
     lines: list[tuple[str, ...]] = []
-    for name, row in rows:
+    bold, missing = [], []
+    for k, (name, row) in enumerate(rows):
         cells = [column.cell(row) if isinstance(column, Shown) else column[1](row) for column in columns]
         if all(cell is None for cell in cells):
-            cells[0] = FAILED if row.failures() else NOT_MEASURED
+            if not row.failures():
+                missing.append(name)
+                continue
+            cells[0] = FAILED
+        if k in strong:
+            bold.append(len(lines))
         lines.append((name, *(NOTHING if cell is None else cell for cell in cells), row.status() or NOTHING))
-    return Table(title, note, (first, *headers, MEASURED_AT), lines, tuple(strong))
+    return Table(title, add_missing(note, missing, not lines), (first, *headers, MEASURED_AT), lines, tuple(bold))
+
+
+def add_missing(note: str, names: Sequence[str], is_all: bool = False) -> str:
+    """Return the note of a table with the rows of which nothing is measured, where there are some, as a paragraph of its own.
+
+    Args:
+        is_all: whether the table has no other rows.
+
+    >>> add_missing("", ["bear, *tuned*, own masks", "camel"])
+    'Not measured yet: bear, own masks; camel.'
+    >>> add_missing("", ["camel"], is_all=True)
+    'Not measured yet: all of it.'
+    """
+    told = "all of it" if is_all else "; ".join(name.replace(f", {TUNED_MARK}", "") for name in names)
+    return "\n\n".join(part for part in (note, f"{MISSING}: {told}." if names else "") if part)
 
 
 def name_of(scene: str) -> str:

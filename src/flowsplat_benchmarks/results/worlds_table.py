@@ -12,7 +12,7 @@ from flowsplat_benchmarks.objects.preparation import VARIANTS
 from flowsplat_benchmarks.objects.tables import COVERAGE_SIGMAS, summary
 from flowsplat_benchmarks.results.cells import WORLDS
 from flowsplat_benchmarks.results.records import Record
-from flowsplat_benchmarks.results.rows import FAILED, MEASURED_AT, NOT_MEASURED, Records, Row, one_line
+from flowsplat_benchmarks.results.rows import FAILED, MEASURED_AT, NOT_MEASURED, Records, Row, add_missing, one_line
 from flowsplat_benchmarks.tables import Table, text
 
 LABELS = {"plain": "plain", "crowd": "crowds", "dancers": "dancers"}
@@ -31,6 +31,8 @@ def tabulate_worlds(records: Records) -> Table:
         InputError: a record is damaged.
     """
     rows: list[tuple[str, ...]] = []
+    missing: list[str] = []
+    told: list[str] = []
     for kind, seeds in WORLDS.items():
         scenes = [f"{kind}-{seed}" for seed in seeds]
         found = [record for record in records.of("objects") if record.scene in scenes]
@@ -44,24 +46,46 @@ def tabulate_worlds(records: Records) -> Table:
         count = "" if len(measured) == len(scenes) else f", {len(measured)} of {len(scenes)} measured"
         for variant in VARIANTS:
             name = f"{LABELS[kind]}, {seeds.start} to {seeds.stop - 1}{count}: {PRIORS[variant]}"
-            rows.append((name, *_describe(measured, variant, bool(failed)), at))
+            if not measured and not failed:
+                missing.append(f"{LABELS[kind]}, {seeds.start} to {seeds.stop - 1}: {PRIORS[variant]}")
+                continue
+            figures = _summarize(measured, variant)
+            nothing = (FAILED if failed else NOT_MEASURED, *["–"] * (len(HEADER) - 3))
+            rows.append((name, *(nothing if figures is None else _format(figures, measured[0])), at))
+            told += [] if figures is None else [_tell(name, figures)]
     for record in records.of("objects"):
         for variant in VARIANTS:
             figures = (record.result or {}).get(SUMMED, {}).get(variant)
             if figures is not None:
                 row = Row([record], records.used)
                 row.note_commit(record.commit)
-                rows.append((f"{record.scene}: {PRIORS[variant]}", *_format(figures, record), record.commit))
-    return Table("Random worlds", "40 frames of 320x180. Objects that touch nothing count, too.", HEADER, rows)
+                name = f"{record.scene}: {PRIORS[variant]}"
+                rows.append((name, *_format(figures, record), record.commit))
+                told.append(_tell(name, figures))
+    note = " ".join(["40 frames of 320x180. Objects that touch nothing count, too.", *told])
+    return Table("Random worlds", add_missing(note, missing, not rows), HEADER, rows)
 
 
-def _describe(measured: Sequence[Record], variant: str, has_failed: bool) -> tuple[str, ...]:
+def _summarize(measured: Sequence[Record], variant: str) -> dict[str, Any] | None:
+    """Return the figures over all objects of some worlds; None where there are no objects."""
     objects = [each for record in measured for each in _objects_of(record, variant)]
     if not objects:
-        return (FAILED if has_failed else NOT_MEASURED, *["–"] * (len(HEADER) - 3))
+        return None
     told = [abs(each["ln_distance"]) / each["sigma"] for each in objects if each.get("sigma") and each["ln_distance"] is not None]
     shares = [100 * float(np.mean(np.array(told) <= n)) for n in COVERAGE_SIGMAS] if told else None
-    return _format({**summary(objects), "objects": len(objects), "shares": shares}, measured[0])
+    return {**summary(objects), "objects": len(objects), "shares": shares}
+
+
+def _tell(name: str, figures: Any) -> str:
+    """Return what the figures of a row, which can be formatted, mean for its objects, in a sentence."""
+    lost = f"{text(figures['lost'], 0)} of {figures['objects']:,} are never found"
+    if figures["median"] is None or figures["median"] == np.inf:
+        return f"{name}: at least half of the objects are not found ({lost})."
+    far, near = np.expm1(figures["median"]), -np.expm1(-figures["median"])
+    return (
+        f"{name}: half of the objects are {text(100 * far, 0)} % too far, {text(100 * near, 0)} % too near, or worse, or not "
+        f"found; {lost}."
+    )
 
 
 def _format(figures: Any, record: Record) -> tuple[str, ...]:

@@ -115,6 +115,10 @@ def test_what_is_best_where(tmp_path):
     assert text.count("bases (+1.00)") >= 1
     assert text.count(PAGE_MARKS[0]) == 1
     assert "old" not in text
+    assert "Of one seed;" in text
+    assert "over seeds" not in text
+    fill_page(page, [*found, result("series", 30.5, seed=1)])
+    assert "By means over seeds;" in page.read_text()
     with pytest.raises(InputError, match="no results"):
         fill_page(page, [])
     page.write_text("nothing")

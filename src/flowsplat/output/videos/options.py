@@ -55,8 +55,8 @@ class RenderOptions:
     """Between the eyes of ``stereo`` and the ends of ``wiggle``, over the scene's median depth."""
     object_depth: tuple[str, ...] = ()
     """Objects farther from the clip's camera than they were trained, or nearer: each ``number=factor``, as in ``2=1.2 3=0.9``.
-    Their sizes go with them, so that the clip's own frames stay as they are, but for who hides whom; other cameras see the
-    difference."""
+    Their sizes go with them, so that the clip's own frames stay as they are, except for which object covers which; other cameras
+    see the difference."""
     confidence_fade: bool = False
     """What the clip has not seen well enough to tell what it looks like from where the camera stands fades to black, instead of
     being shown as a guess."""

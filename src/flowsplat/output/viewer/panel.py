@@ -48,7 +48,9 @@ _MAX_OBJECTS = 16
 _DISTANCE_RANGE, _DISTANCE_STEP = (0.3, 3.0), 0.01
 """Times as far from the clip's camera as trained. Chosen by eye."""
 _CONFIDENCE_FADE_HINT = "What the clip has not seen well enough to tell what it looks like from here is black."
-_DISTANCE_HINT = "Times as far from the clip's camera. The clip's own frames stay as they are, but for who hides whom."
+_DISTANCE_HINT = (
+    "Times as far from the clip's camera. The clip's own frames stay as they are, except for which object covers which."
+)
 _STILL_QUALITY, _MOVING_QUALITY = 92, 75
 """Of the JPEGs. Chosen by eye."""
 
