@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -57,11 +57,14 @@ EXPOSURE_POINTS = 20_000
 UNSEEN_WEIGHT = 0.3
 """Weight of times at which a surface is not seen. Chosen by eye."""
 
+SEEN, FAR, EDGE = 1, 2, 4
+"""Flags of a point in a frame: that it is seen, that no object is near, that it is at a jump of depth."""
+ALONE, AT_EDGE = SEEN | FAR, SEEN | EDGE
 _SURFACE_TOLERANCE = 0.05
 """Share of its distance by which a point may lie behind the surface that a frame sees. Chosen by eye."""
 _MIN_ALPHA = 0.5
 """Alpha from which something is there. Chosen by eye."""
-_ROWS_AT_A_TIME, _NUMBERS_AT_A_TIME = 8192, 2**24
+_ROWS_AT_A_TIME, _NUMBERS_AT_A_TIME = 8192, 2**22
 """Gaussians whose gains are fitted at a time at most, for the memory; and that of their gains at all times. Chosen by eye."""
 
 
@@ -82,30 +85,29 @@ def add_shadow_free(
     if not waves or not len(rests) or not any(mask.any() for mask in masks):
         return model
     points = model.similarity.inverse().points(g.params["means"][rests].double().cpu().numpy())
-    seen, far, edge = _find_visible_beside_objects(model, points, cameras, times, masks)
+    flags = _look_beside_objects(model, points, cameras, times, masks)
     # Only what is ever beside an object can be in its shadow; of all else some tell how bright whole frames are.
-    beside = (seen & ~far).any(1)
+    beside = np.concatenate([(part & ALONE == SEEN).any(1) for part in _parts(flags)])
     others = np.flatnonzero(~beside)
     chosen = np.sort(np.concatenate([np.flatnonzero(beside), others[:: max(1, len(others) // EXPOSURE_POINTS)]]))
-    seen, far, edge = seen[chosen], far[chosen], edge[chosen]
+    flags = flags[chosen]
     t = torch.tensor([model.clip_time(each) for each in times], dtype=torch.float64)
     cosines = torch.cos(math.pi * t[:, None] * torch.arange(1, waves + 1))
     gains = g.params["log_gains"][rests].float().cpu()[torch.from_numpy(chosen)]
-    curve = (gains @ cosines.float().T).numpy()
-    alone = seen & far
+    curves = _Curves(gains, cosines.float(), flags)
+    clear, seen = curves.count(ALONE), curves.count(SEEN)
     # Brightness in time of what is thin or ends makes up for all that is wrong with it.
-    flat = (seen & edge).sum(1) <= EDGE_FRAME_SHARE * seen.sum(1)
-    told = flat & (alone.sum(1) >= MIN_CLEAR_FRAMES)
+    flat = curves.count(AT_EDGE) <= EDGE_FRAME_SHARE * seen
+    told = flat & (clear >= MIN_CLEAR_FRAMES)
     # Beside an object that never leaves, a shadow still comes and goes.
-    beside_only = flat & ~told & (seen.sum(1) >= FEW_FRAMES)
+    beside_only = flat & ~told & (seen >= FEW_FRAMES)
     level = np.full(len(chosen), np.nan, np.float32)
-    level[told] = _quantile(curve[told], alone[told], OWN_BRIGHTNESS_QUANTILE)
+    level[told] = curves.quantile(told, ALONE, OWN_BRIGHTNESS_QUANTILE)
     # How bright a whole frame is belongs to no shadow.
-    exposure = _exposure(curve - level[:, None], alone & told[:, None])
-    level[told] = _quantile(curve[told] - exposure, alone[told], OWN_BRIGHTNESS_QUANTILE)
-    level[beside_only] = _quantile(curve[beside_only] - exposure, seen[beside_only], FEW_FRAMES_QUANTILE)
-    shade = np.where(seen & ~far, curve - exposure - level[:, None], 0)
-    darkest = np.where(told | beside_only, shade.min(1), 0)
+    exposure = _exposure(curves.of(told) - level[told, None], curves.has(told, ALONE))
+    level[told] = curves.quantile(told, ALONE, OWN_BRIGHTNESS_QUANTILE, exposure)
+    level[beside_only] = curves.quantile(beside_only, SEEN, FEW_FRAMES_QUANTILE, exposure)
+    darkest = np.where(told | beside_only, curves.darkest(level, exposure), 0)
     limit = np.where(told, MIN_LOG_DARKENING, FEW_FRAMES_DARKENING)
     times_limit = np.zeros(len(points), np.float32)
     times_limit[chosen] = darkest / limit
@@ -114,22 +116,86 @@ def add_shadow_free(
     dark = np.flatnonzero(darkest < -limit)
     around = cKDTree(points).query(points[chosen[dark]], nearest)[1].reshape(len(dark), nearest)
     changed = dark[np.median(times_limit[around], 1) < -NEIGHBOR_LIMITS]
-    kept = np.where(told[:, None], alone, seen & (shade > -MIN_LOG_DARKENING))[changed]
     shadow_free = torch.cat([torch.zeros(len(g), 1), g.params["log_gains"].detach().float().cpu()], 1)
-    if len(changed):
-        target = np.where(kept, curve[changed], level[changed, None] + exposure)
-        weight = np.where(seen[changed], 1.0, UNSEEN_WEIGHT)
-        shadow_free[rests.cpu()[torch.from_numpy(chosen[changed])]] = _fit(target, weight, cosines).float()
+    rows = min(curves.at_a_time, _ROWS_AT_A_TIME)
+    for some in (changed[start : start + rows] for start in range(0, len(changed), rows)):
+        curve, was_seen = curves.of(some), curves.has(some, SEEN)
+        bright = was_seen & (curves.shade(some, level, exposure) > -MIN_LOG_DARKENING)
+        target = np.where(np.where(told[some, None], curves.has(some, ALONE), bright), curve, level[some, None] + exposure)
+        fitted = _fit(target, np.where(was_seen, 1.0, UNSEEN_WEIGHT), cosines)
+        shadow_free[rests.cpu()[torch.from_numpy(chosen[some])]] = fitted.float()
     return replace(model, gaussians=replace(g, shadow_free=shadow_free.to(g.device)))
 
 
-def _find_visible_beside_objects(
+def _parts(flags: np.ndarray) -> list[np.ndarray]:
+    """Return rows of flags [N, T] a few at a time, for the memory."""
+    rows = max(_NUMBERS_AT_A_TIME // max(flags.shape[1], 1), 1)
+    return [flags[start : start + rows] for start in range(0, max(len(flags), 1), rows)]
+
+
+@dataclass(frozen=True)
+class _Curves:
+    """Brightness of points over the frames, made a few points at a time: that of all in all frames takes gigabytes.
+
+    Attributes:
+        gains: [N, G] of the points.
+        cosines: [T, G] of the frames, float32.
+        flags: [N, T] uint8, as of ``_look_beside_objects``.
+    """
+
+    gains: torch.Tensor
+    cosines: torch.Tensor
+    flags: np.ndarray
+
+    @property
+    def at_a_time(self) -> int:
+        """Points whose brightness is held at the same time."""
+        return max(_NUMBERS_AT_A_TIME // max(len(self.cosines), 1), 1)
+
+    def of(self, points: np.ndarray) -> np.ndarray:
+        """Return [n, T] float32 of some points, [n] indices or [N] bool: logarithms of brightness."""
+        return (self.gains[torch.from_numpy(points)] @ self.cosines.T).numpy()
+
+    def has(self, points: np.ndarray, flags: int) -> np.ndarray:
+        """Return [n, T] bool, where all of these flags are set."""
+        return np.asarray(self.flags[points] & flags == flags)
+
+    def count(self, flags: int) -> np.ndarray:
+        """Return [N] in how many frames all of these are set."""
+        return np.concatenate([(part & flags == flags).sum(1) for part in _parts(self.flags)])
+
+    def quantile(self, points: np.ndarray, flags: int, share: float, exposure: np.ndarray | None = None) -> np.ndarray:
+        """Return [n] the quantile of points [N] bool over the frames in which these flags are set; of each at least one is."""
+        found = []
+        for some in self._split(np.flatnonzero(points)):
+            curve = self.of(some) if exposure is None else self.of(some) - exposure
+            found.append(_quantile(curve, self.has(some, flags), share))
+        return np.concatenate(found)
+
+    def shade(self, points: np.ndarray, level: np.ndarray, exposure: np.ndarray) -> np.ndarray:
+        """Return [n, T] how much brighter than its level [N] a point [n] is beside an object; 0 where none is near."""
+        beside = self.flags[points] & ALONE == SEEN
+        return np.where(beside, self.of(points) - exposure - level[points, None], 0)
+
+    def darkest(self, level: np.ndarray, exposure: np.ndarray) -> np.ndarray:
+        """Return [N] the least shade of each point."""
+        return np.concatenate([self.shade(some, level, exposure).min(1) for some in self._split(np.arange(len(self.flags)))])
+
+    def _split(self, points: np.ndarray) -> list[np.ndarray]:
+        return np.split(points, range(self.at_a_time, len(points), self.at_a_time))
+
+
+def _look_beside_objects(
     model: SceneModel, points: np.ndarray, cameras: Sequence[Camera], times: Sequence[float], masks: Sequence[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find where points [N, 3] of the still scene are seen in frames, are near no object, are at a jump of depth: bool [N, T]."""
+) -> np.ndarray:
+    """Find where points [N, 3] of the still scene are seen in frames, are near no object, are at a jump of depth.
+
+    Returns:
+        [N, T] uint8, of ``SEEN``, ``FAR`` and ``EDGE``.
+    """
     background, objects = model.part("background"), model.part("objects")
 
-    def look(k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def look(k: int) -> np.ndarray:
         camera = cameras[k].resize(max(cameras[k].width // 2, 1), max(cameras[k].height // 2, 1))
         still = background.render(camera, times[k])
         mask = cv2.resize(masks[k], (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)
@@ -147,14 +213,16 @@ def _find_visible_beside_objects(
         pixels, depth = camera.project(points)
         column, row = np.floor(np.nan_to_num(pixels, nan=-1)).astype(int).T
         inside = (depth > 0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
-        saw, near, edge = np.zeros((3, len(points)), bool)
-        saw[inside] = depth[inside] <= (1 + _SURFACE_TOLERANCE) * surface[row[inside], column[inside]]
-        near[inside], edge[inside] = (values[row[inside], column[inside]] for values in (beside, jumps))
-        return saw, ~near, edge
+        saw = depth[inside] <= (1 + _SURFACE_TOLERANCE) * surface[row[inside], column[inside]]
+        near, edge = (values[row[inside], column[inside]] for values in (beside, jumps))
+        flags = np.full(len(points), FAR, np.uint8)
+        flags[inside] = saw * np.uint8(SEEN) | ~near * np.uint8(FAR) | edge * np.uint8(EDGE)
+        return flags
 
-    found = list(in_threads(look, list(range(len(cameras))), at_once(model)))
-    saw, far, edge = (np.stack(values, 1) for values in zip(*found, strict=True))
-    return saw, far, edge
+    found = np.zeros((len(points), len(cameras)), np.uint8)
+    for k, flags in enumerate(in_threads(look, list(range(len(cameras))), at_once(model))):
+        found[:, k] = flags
+    return found
 
 
 def _quantile(values: np.ndarray, chosen: np.ndarray, share: float) -> np.ndarray:
