@@ -57,9 +57,9 @@ EXPOSURE_POINTS = 20_000
 UNSEEN_WEIGHT = 0.3
 """Weight of times at which a surface is not seen. Chosen by eye."""
 
-SEEN, FAR, EDGE = 1, 2, 4
+IS_SEEN, IS_FAR, IS_AT_EDGE = 1, 2, 4
 """Flags of a point in a frame: that it is seen, that no object is near, that it is at a jump of depth."""
-ALONE, AT_EDGE = SEEN | FAR, SEEN | EDGE
+SEEN_ALONE, SEEN_AT_EDGE = IS_SEEN | IS_FAR, IS_SEEN | IS_AT_EDGE
 _SURFACE_TOLERANCE = 0.05
 """Share of its distance by which a point may lie behind the surface that a frame sees. Chosen by eye."""
 _MIN_ALPHA = 0.5
@@ -87,7 +87,7 @@ def add_shadow_free(
     points = model.similarity.inverse().points(g.params["means"][rests].double().cpu().numpy())
     flags = _look_beside_objects(model, points, cameras, times, masks)
     # Only what is ever beside an object can be in its shadow; of all else some tell how bright whole frames are.
-    beside = np.concatenate([(part & ALONE == SEEN).any(1) for part in _parts(flags)])
+    beside = np.concatenate([(part & SEEN_ALONE == IS_SEEN).any(1) for part in _parts(flags)])
     others = np.flatnonzero(~beside)
     chosen = np.sort(np.concatenate([np.flatnonzero(beside), others[:: max(1, len(others) // EXPOSURE_POINTS)]]))
     flags = flags[chosen]
@@ -95,18 +95,18 @@ def add_shadow_free(
     cosines = torch.cos(math.pi * t[:, None] * torch.arange(1, waves + 1))
     gains = g.params["log_gains"][rests].float().cpu()[torch.from_numpy(chosen)]
     curves = _Curves(gains, cosines.float(), flags)
-    clear, seen = curves.count(ALONE), curves.count(SEEN)
+    clear, seen = curves.count(SEEN_ALONE), curves.count(IS_SEEN)
     # Brightness in time of what is thin or ends makes up for all that is wrong with it.
-    flat = curves.count(AT_EDGE) <= EDGE_FRAME_SHARE * seen
+    flat = curves.count(SEEN_AT_EDGE) <= EDGE_FRAME_SHARE * seen
     told = flat & (clear >= MIN_CLEAR_FRAMES)
     # Beside an object that never leaves, a shadow still comes and goes.
     beside_only = flat & ~told & (seen >= FEW_FRAMES)
     level = np.full(len(chosen), np.nan, np.float32)
-    level[told] = curves.quantile(told, ALONE, OWN_BRIGHTNESS_QUANTILE)
+    level[told] = curves.quantile(told, SEEN_ALONE, OWN_BRIGHTNESS_QUANTILE)
     # How bright a whole frame is belongs to no shadow.
-    exposure = _exposure(curves.of(told) - level[told, None], curves.has(told, ALONE))
-    level[told] = curves.quantile(told, ALONE, OWN_BRIGHTNESS_QUANTILE, exposure)
-    level[beside_only] = curves.quantile(beside_only, SEEN, FEW_FRAMES_QUANTILE, exposure)
+    exposure = _exposure(curves.of(told) - level[told, None], curves.has(told, SEEN_ALONE))
+    level[told] = curves.quantile(told, SEEN_ALONE, OWN_BRIGHTNESS_QUANTILE, exposure)
+    level[beside_only] = curves.quantile(beside_only, IS_SEEN, FEW_FRAMES_QUANTILE, exposure)
     darkest = np.where(told | beside_only, curves.darkest(level, exposure), 0)
     limit = np.where(told, MIN_LOG_DARKENING, FEW_FRAMES_DARKENING)
     times_limit = np.zeros(len(points), np.float32)
@@ -119,9 +119,9 @@ def add_shadow_free(
     shadow_free = torch.cat([torch.zeros(len(g), 1), g.params["log_gains"].detach().float().cpu()], 1)
     rows = min(curves.at_a_time, _ROWS_AT_A_TIME)
     for some in (changed[start : start + rows] for start in range(0, len(changed), rows)):
-        curve, was_seen = curves.of(some), curves.has(some, SEEN)
+        curve, was_seen = curves.of(some), curves.has(some, IS_SEEN)
         bright = was_seen & (curves.shade(some, level, exposure) > -MIN_LOG_DARKENING)
-        target = np.where(np.where(told[some, None], curves.has(some, ALONE), bright), curve, level[some, None] + exposure)
+        target = np.where(np.where(told[some, None], curves.has(some, SEEN_ALONE), bright), curve, level[some, None] + exposure)
         fitted = _fit(target, np.where(was_seen, 1.0, UNSEEN_WEIGHT), cosines)
         shadow_free[rests.cpu()[torch.from_numpy(chosen[some])]] = fitted.float()
     return replace(model, gaussians=replace(g, shadow_free=shadow_free.to(g.device)))
@@ -174,7 +174,7 @@ class _Curves:
 
     def shade(self, points: np.ndarray, level: np.ndarray, exposure: np.ndarray) -> np.ndarray:
         """Return [n, T] how much brighter than its level [N] a point [n] is beside an object; 0 where none is near."""
-        beside = self.flags[points] & ALONE == SEEN
+        beside = self.flags[points] & SEEN_ALONE == IS_SEEN
         return np.where(beside, self.of(points) - exposure - level[points, None], 0)
 
     def darkest(self, level: np.ndarray, exposure: np.ndarray) -> np.ndarray:
@@ -191,7 +191,7 @@ def _look_beside_objects(
     """Find where points [N, 3] of the still scene are seen in frames, are near no object, are at a jump of depth.
 
     Returns:
-        [N, T] uint8, of ``SEEN``, ``FAR`` and ``EDGE``.
+        [N, T] uint8, of ``IS_SEEN``, ``IS_FAR`` and ``IS_AT_EDGE``.
     """
     background, objects = model.part("background"), model.part("objects")
 
@@ -215,8 +215,8 @@ def _look_beside_objects(
         inside = (depth > 0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
         saw = depth[inside] <= (1 + _SURFACE_TOLERANCE) * surface[row[inside], column[inside]]
         near, edge = (values[row[inside], column[inside]] for values in (beside, jumps))
-        flags = np.full(len(points), FAR, np.uint8)
-        flags[inside] = saw * np.uint8(SEEN) | ~near * np.uint8(FAR) | edge * np.uint8(EDGE)
+        flags = np.full(len(points), IS_FAR, np.uint8)
+        flags[inside] = saw * np.uint8(IS_SEEN) | ~near * np.uint8(IS_FAR) | edge * np.uint8(IS_AT_EDGE)
         return flags
 
     found = np.zeros((len(points), len(cameras)), np.uint8)
