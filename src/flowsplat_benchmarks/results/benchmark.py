@@ -21,6 +21,7 @@ from flowsplat_benchmarks.results.cells import Cell, choose_cells, list_cells
 from flowsplat_benchmarks.results.jobs import list_missing, measure_cell
 from flowsplat_benchmarks.results.pages import OVERVIEW, format_pages, write_pages
 from flowsplat_benchmarks.results.records import (
+    WITH_CHANGES,
     Record,
     describe_commit,
     describe_machine,
@@ -67,7 +68,7 @@ def run_all(
     missing = list_missing(root, chosen)
     chosen = [cell for cell in chosen if cell not in missing]
     if dry_run:
-        print("\n".join(describe_plan(chosen, missing, out)))
+        print("\n".join(describe_plan(chosen, missing, out, None if docs is None else docs / RECORDS)))
         return None
     if report_only:
         return write_report(out, docs)
@@ -104,7 +105,9 @@ def _measure(cell: Cell, root: Path, work: Path) -> dict[str, Any]:
     began = time.perf_counter()
     with by_the_processor() if _counts_processor() else nullcontext():
         result = measure_cell(cell, root, work)
-    return replace(_empty(cell), seconds=round(time.perf_counter() - began, 1), result=result).to_json()
+    record = _empty(cell)
+    machine = record.machine + (", seconds of the processor" if _counts_processor() else "")
+    return replace(record, machine=machine, seconds=round(time.perf_counter() - began, 1), result=result).to_json()
 
 
 def _counts_processor() -> bool:
@@ -114,8 +117,8 @@ def _counts_processor() -> bool:
 
 
 def _empty(cell: Cell) -> Record:
-    machine = describe_machine() + (", seconds of the processor" if _counts_processor() else "")
-    return Record(cell.benchmark, cell.scene, cell.variant, cell.seed, describe_commit(), machine, torch.get_num_threads())
+    known = cell.benchmark, cell.scene, cell.variant, cell.seed
+    return Record(*known, describe_commit(), describe_machine(), torch.get_num_threads())
 
 
 def _keep_failure(cell: Cell, reason: str, out: Path) -> None:
@@ -126,12 +129,18 @@ def _keep_failure(cell: Cell, reason: str, out: Path) -> None:
 def _take_kept(cells: Sequence[Cell], out: Path, kept: Path) -> None:
     """Take into ``out`` what was measured at this commit elsewhere, on another machine say, and is kept with the pages."""
     for cell in cells:
-        there = kept / f"{cell.name}.json"
-        if not there.exists() or make_measurement(cell, Path(), out).is_measured(make_folder(out)):
-            continue
-        record = read_record(there)
-        if record.commit == describe_commit():
-            write_json(make_folder(out / CELLS) / there.name, {**record.to_json(), "key": _key()})
+        record = _find_kept(cell, kept)
+        if record is not None and not make_measurement(cell, Path(), out).is_measured(make_folder(out)):
+            write_json(make_folder(out / CELLS) / f"{cell.name}.json", {**record.to_json(), "key": _key()})
+
+
+def _find_kept(cell: Cell, kept: Path | None) -> Record | None:
+    """Return what is kept of a cell with the pages, where it is of this commit; of source with changes nobody knows which."""
+    there = None if kept is None else kept / f"{cell.name}.json"
+    if there is None or not there.exists() or describe_commit().endswith(WITH_CHANGES):
+        return None
+    record = read_record(there)
+    return record if record.commit == describe_commit() else None
 
 
 def _forget_failed(cells: Sequence[Cell], out: Path) -> None:
@@ -166,7 +175,7 @@ def write_report(out: Path, docs: Path | None = None) -> Path:
     return docs / f"{OVERVIEW}.md"
 
 
-def describe_plan(cells: Sequence[Cell], missing: Sequence[Cell], out: Path) -> list[str]:
+def describe_plan(cells: Sequence[Cell], missing: Sequence[Cell], out: Path, kept: Path | None = None) -> list[str]:
     """Return a line a cell with its state and what it takes, and how long the rest takes in all.
 
     What is done already says how much faster or slower this machine is than the one of the estimates.
@@ -179,6 +188,8 @@ def describe_plan(cells: Sequence[Cell], missing: Sequence[Cell], out: Path) -> 
         path = out / CELLS / f"{cell.name}.json"
         if make_measurement(cell, Path(), out).is_measured(out):
             done[cell.name] = read_record(path)
+        elif (record := _find_kept(cell, kept)) is not None:
+            done[cell.name] = record
     took = [(done[cell.name].seconds, cell.seconds) for cell in cells if cell.name in done]
     known = [(seconds, each) for seconds, each in took if seconds is not None]
     expected = sum(each for _, each in known)

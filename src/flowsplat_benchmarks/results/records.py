@@ -20,6 +20,8 @@ from flowsplat.common.source import source_state
 from flowsplat_benchmarks.scripts.cpu_parts import machine as this_machine
 
 RECORD_VERSION = 1
+WITH_CHANGES = " with changes"
+"""What stands behind a commit where the source has more."""
 Name = Annotated[str, Meta(min_length=1, max_length=150)]
 Seconds = Annotated[float, Meta(ge=0, le=1e9)]
 
@@ -135,7 +137,7 @@ def describe_commit() -> str:
     except (OSError, subprocess.CalledProcessError):
         return source_state()
     commit, changes = said
-    return (commit or source_state()) + (" with changes" if changes else "")
+    return (commit or source_state()) + (WITH_CHANGES if changes else "")
 
 
 def describe_machine() -> str:

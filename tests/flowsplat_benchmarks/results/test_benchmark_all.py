@@ -84,16 +84,22 @@ def test_a_cell_is_done_once_at_a_commit(data_root, tmp_path, done, monkeypatch,
     assert "rig_tiny_own_seed1: to do" in "\n".join(benchmark.describe_plan(CELLS[:2], [], tmp_path))
 
 
-def test_another_machine_goes_on_from_what_is_kept_with_the_pages(data_root, tmp_path, done, capsys):
+def test_another_machine_goes_on_from_what_is_kept_with_the_pages(data_root, tmp_path, done, capsys, monkeypatch):
     docs = ("--docs", tmp_path / "docs")
     refuse(capsys, "all", data_root, "-o", tmp_path / "here", *docs)
     kept = tmp_path / "docs" / "records" / "rig_tiny_own_seed0.json"
     call("all", data_root, "-o", tmp_path / "there", *docs)
     assert len(done) == 2, "nothing is measured twice, what failed neither"
+    call("all", data_root, "-o", tmp_path / "dry", *docs, "--dry-run")
+    assert "2 cells, 2 done at aaaaaaa" in capsys.readouterr().out
     assert json.loads((tmp_path / "there" / "cells" / kept.name).read_text())["result"] == {"ours": {"psnr": 31.5}}
     kept.write_text(kept.read_text().replace("aaaaaaa", "ccccccc"))
     call("all", data_root, "-o", tmp_path / "third", *docs, "--seeds", "0")
     assert done[2:] == ["rig_tiny_own_seed0"], "what is kept of another commit is measured"
+    monkeypatch.setattr(benchmark, "describe_commit", lambda: "aaaaaaa with changes")
+    kept.write_text(kept.read_text().replace("aaaaaaa", "aaaaaaa with changes"))
+    call("all", data_root, "-o", tmp_path / "fourth", *docs, "--seeds", "0")
+    assert len(done) == 4, "which changes, nobody knows"
 
 
 @pytest.mark.parametrize("threads", [1, 2])

@@ -145,6 +145,8 @@ class CropPanel:
         if self.box is None:
             self._hide()
             return
+        if self._timer is not None:
+            self._timer.cancel()
         ends = self._browser.from_scene.points(self.box.edges).astype(np.float32)
         if self._drawn is None:
             self._drawn = self._client.scene.add_line_segments(
@@ -152,8 +154,6 @@ class CropPanel:
             )
         else:
             self._drawn.points, self._drawn.visible = ends, True
-        if self._timer is not None:
-            self._timer.cancel()
         self._timer = threading.Timer(_SHOWN_SECONDS, self._hide)
         self._timer.daemon = True
         self._timer.start()

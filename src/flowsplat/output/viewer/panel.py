@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from dataclasses import replace
 from typing import Any, get_args
 
 import numpy as np
@@ -129,6 +130,8 @@ class Panel:
             self._confidence_fade = controls.add_checkbox("Only what the clip tells", False, hint=_CONFIDENCE_FADE_HINT)
         self._distances: dict[int, Control] = {}
         self._crop: CropPanel | None = None
+        self._fades_for_now = False
+        """Guesses fade because of "Look farther", and will not when it is off."""
         if self._objects:
             with gui.add_folder("Distance of objects", expand_by_default=False):
                 gui.add_markdown(_DISTANCE_HINT)
@@ -249,7 +252,9 @@ class Panel:
         """Let go of the input camera, without guesses; and back."""
         is_farther = self._farther.value
         _set_value(self._mode, "orbit" if is_farther else "input camera")
-        _set_value(self._confidence_fade, is_farther)
+        if is_farther and not self._confidence_fade.value:
+            _set_value(self._confidence_fade, True)
+            self._fades_for_now = True
         self._set_mode()
         self._set_look()
         if not is_farther:
@@ -268,6 +273,10 @@ class Panel:
             self._session.mode = mode
             self._session.change(time.monotonic())
         _set_value(self._farther, mode != "input camera")
+        if mode == "input camera" and self._fades_for_now:
+            _set_value(self._confidence_fade, False)
+            self._fades_for_now = False
+            self._set_look()
         if mode != "input camera":
             camera = self.client.camera
             here = Pose(np.array(camera.wxyz), np.array(camera.position), float(camera.fov))
@@ -291,6 +300,7 @@ class Panel:
             # A frame can only lie over what was seen from the same place.
             _set_value(self._mode, "input camera")
             self._set_mode()
+            look = replace(look, confidence_fade=self._confidence_fade.value)
         with self._worker.change():
             if look.compare == "wipe":
                 self._session.elastic.reset()

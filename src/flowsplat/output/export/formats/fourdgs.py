@@ -26,7 +26,7 @@ def estimate_bytes(model: SceneModel, scene: Scene, options: ExportOptions) -> i
     """Return about how many it will be: a part of the Gaussians is cut into pieces for it."""
     from flowsplat.output.export.fourdgs.writing import estimate_scene_bytes
 
-    return estimate_scene_bytes(model, scene)
+    return estimate_scene_bytes(model, scene, options.sound)
 
 
 SENTENCE = "Avala AI's .4dgs: the whole scene, its curves as straight pieces; objects, camera and sound."

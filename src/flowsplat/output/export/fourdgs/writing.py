@@ -18,7 +18,7 @@ from flowsplat.geometry.paths import CameraPath
 from flowsplat.geometry.rotations import rotations_to_quats
 from flowsplat.output.export.fourdgs import container
 from flowsplat.output.export.fourdgs.container import ChunkPlace
-from flowsplat.output.export.fourdgs.opus import OpusSound, encode_sound
+from flowsplat.output.export.fourdgs.opus import BITS_A_CHANNEL, OpusSound, encode_sound
 from flowsplat.output.export.fourdgs.pieces import TICKS, ClipViews, Pieces, cut_into_pieces, cutoff
 from flowsplat.output.export.fourdgs.rounding import Frame, Rounded, measure_errors, round_colors, round_pieces
 from flowsplat.scenes import Scene
@@ -73,14 +73,15 @@ def write_scene(path: Path, model: SceneModel, scene: Scene, *, has_sound: bool)
         report("4dgs: its camera does not zoom as the clip's does.")
 
 
-def estimate_scene_bytes(model: SceneModel, scene: Scene) -> int:
-    """Return about how many bytes the file will have."""
+def estimate_scene_bytes(model: SceneModel, scene: Scene, has_sound: bool) -> int:
+    """Return about how many bytes the file will have, with the clip's sound or without."""
     count = len(model.gaussians)
     asked = torch.from_numpy(np.linspace(0, count - 1, min(count, _ASKED_GAUSSIANS)).astype(np.int64))
     pieces = len(cut_into_pieces(model.gaussians.select(asked), _views_of(model, scene))) * count / len(asked)
     a_gaussian, a_harmonic, a_piece = _BYTES_EACH
     each = a_gaussian + a_harmonic * (harmonics_count(model.gaussians.sh_degree) - 1)
-    return round(_REST_BYTES + each * count + a_piece * pieces)
+    seconds = float(scene.timestamps[-1] - scene.timestamps[0]) if has_sound and scene.sound is not None else 0.0
+    return round(_REST_BYTES + each * count + a_piece * pieces + seconds * 2 * BITS_A_CHANNEL / 8)
 
 
 def _views_of(model: SceneModel, scene: Scene) -> ClipViews:
