@@ -145,7 +145,8 @@ def _growth(cell: Cell, root: Path, work: Path) -> Figures:
     folder = make_folder(work / cell.name)
     found = [case for case in growth.cases(folder, [kind], []) if case.kind == kind]
     wanted = next(case for case in found if int(count) == (case.frames if kind == "frames" else case.side))
-    return growth.measure(wanted)
+    measured = growth.measure(wanted)
+    return {name: value for name, value in measured.items() if name not in ("clip", "out")}  # records are shared: no folders
 
 
 def _demo(cell: Cell, root: Path, work: Path) -> Figures:

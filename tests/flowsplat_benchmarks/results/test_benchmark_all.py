@@ -318,9 +318,11 @@ def test_the_other_benchmarks_are_asked_for_their_part(data_root, tmp_path, monk
     )
     assert do("models", "clip", "splines", 1) == ("clip_427_gaps", "splines", 1, jobs.measure_motion)
     monkeypatch.setattr(jobs.growth, "enlarge", lambda _, side, path: path)
-    monkeypatch.setattr(jobs.growth, "measure", lambda case: (case.kind, case.frames, case.side))
-    assert do("growth", "frames-200", "", 0) == ("frames", 200, 320)
-    assert do("growth", "pixels-640", "", 0) == ("pixels", 16, 640)
+    monkeypatch.setattr(
+        jobs.growth, "measure", lambda case: {"case": (case.kind, case.frames, case.side), "clip": "/home", "out": "/"}
+    )
+    assert do("growth", "frames-200", "", 0) == {"case": ("frames", 200, 320)}, "no folder of a machine is kept"
+    assert do("growth", "pixels-640", "", 0) == {"case": ("pixels", 16, 640)}
 
 
 def test_a_field_is_trained_as_long_as_default(data_root, tmp_path, monkeypatch):
