@@ -6,7 +6,9 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -18,6 +20,10 @@ from viser import _messages
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
+
+from flowsplat.output.viewer.options import ViewOptions
+from flowsplat.output.viewer.server import Viewer
+from tests.output.tiny import red
 
 PATIENCE = 150.0
 """Seconds; kernels may have to be compiled."""
@@ -101,9 +107,10 @@ class Browser:
             return float(np.linalg.norm(self._camera["look_at"] - self._camera["position"]))
 
     def set(self, label: str, value: Any) -> None:
-        """Set a control."""
-        uuid = self.wait(lambda: self.controls.get(label))["uuid"]
-        self._send(_messages.GuiUpdateMessage(uuid, {"value": value}))
+        """Set a control, which shows it at once: the viewer answers only where it shall show something else."""
+        control = self.wait(lambda: self.controls.get(label))
+        control["value"] = value
+        self._send(_messages.GuiUpdateMessage(control["uuid"], {"value": value}))
 
     def click(self, label: str) -> None:
         """Press a button, by the label that it began with."""
@@ -189,3 +196,20 @@ class Browser:
             self.nodes.add(message["name"])
         elif kind == "RemoveSceneNodeMessage":
             self.nodes.discard(message["name"])
+
+
+@contextmanager
+def viewed(folder: Path) -> Iterator[Browser]:
+    """A browser that shows a run in a viewer of its own."""
+    port = free_port()
+    viewer = Viewer(folder, ViewOptions(port=port))
+    try:
+        with Browser(port) as browser:
+            yield browser
+    finally:
+        viewer.stop()
+
+
+def place(image: np.ndarray) -> float:
+    """Column of the red object, over the width."""
+    return float(np.argwhere(red(image))[:, 1].mean() / image.shape[1])

@@ -16,7 +16,7 @@ class Control:
 
     def __init__(self, handle: Any, check: Callable[[Any], Any]):
         """``check`` gives the value that counts for the one that was sent, or raises an ``InputError``."""
-        self._handle, self._check, self._last = handle, check, handle.value
+        self._handle, self._check, self._last, self._asked = handle, check, handle.value, handle.value
 
     @property
     def value(self) -> Any:
@@ -36,6 +36,18 @@ class Control:
     def value(self, value: Any) -> None:
         self._handle.value = value
 
+    def take(self) -> Any:
+        """Return what the client set last, and show it again.
+
+        Since its event the control may have been set to something else, such as the time of an image that was being drawn.
+
+        Raises:
+            InputError: as ``value``.
+        """
+        if self._handle.value != self._asked:
+            self._handle.value = self._asked
+        return self.value
+
     @property
     def visible(self) -> bool:
         """Whether it is shown."""
@@ -47,7 +59,13 @@ class Control:
 
     def on_update(self, call: Callable[[Any], Coroutine[Any, Any, None]]) -> None:
         """Call this when it was changed."""
-        self._handle.on_update(call)
+
+        async def begin(event: Any) -> None:
+            if event.client_id is not None:
+                self._asked = self._handle.value
+            await call(event)
+
+        self._handle.on_update(begin)
 
 
 class Controls:

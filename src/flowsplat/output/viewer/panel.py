@@ -155,7 +155,7 @@ class Panel:
             button.on_click(self._notifications.callback(action))
         for control, action in (
             (self._time, self._seek), (self._speed, self._set_speed), (self._loop, self._set_loop),
-            (self._mode, self._set_mode), (self._farther, self._look_farther), (self._cameras, self._draw_cameras),
+            (self._mode, self._take_mode), (self._farther, self._look_farther), (self._cameras, self._draw_cameras),
             (self._trails, self._draw_trails),
         ):  # fmt: skip
             control.on_update(self._notifications.callback(action))
@@ -184,9 +184,9 @@ class Panel:
             self._play.icon = viser.Icon.PLAYER_PAUSE if label == "Pause" else viser.Icon.PLAYER_PLAY
 
     def _seek(self) -> None:
-        now = time.monotonic()
+        seconds, now = float(self._time.take()), time.monotonic()
         with self._worker.change():
-            self._session.clock.set(float(self._time.value), now)
+            self._session.clock.set(seconds, now)
             self._session.change(now)
 
     def _set_speed(self) -> None:
@@ -250,12 +250,11 @@ class Panel:
 
     def _look_farther(self) -> None:
         """Let go of the input camera, without guesses; and back."""
-        is_farther = self._farther.value
-        _set_value(self._mode, "orbit" if is_farther else "input camera")
+        is_farther = self._farther.take()
         if is_farther and not self._confidence_fade.value:
             _set_value(self._confidence_fade, True)
             self._fades_for_now = True
-        self._set_mode()
+        self._set_mode("orbit" if is_farther else "input camera")
         self._set_look()
         if not is_farther:
             self._go_home()
@@ -266,8 +265,11 @@ class Panel:
             self._session.change(time.monotonic())
             self._stand(self._find_input_pose(), _PIVOT_DISTANCE.get(self._session.mode, SCENE_DEPTH))
 
-    def _set_mode(self) -> None:
-        mode: Mode = self._mode.value
+    def _take_mode(self) -> None:
+        self._set_mode(self._mode.take())
+
+    def _set_mode(self, mode: Mode) -> None:
+        _set_value(self._mode, mode)
         with self._worker.change():
             self._is_there &= self._session.mode == mode
             self._session.mode = mode
@@ -298,8 +300,7 @@ class Panel:
         self._wipe.visible = look.compare == "wipe"
         if look.compare == "wipe" and self._mode.value != "input camera":
             # A frame can only lie over what was seen from the same place.
-            _set_value(self._mode, "input camera")
-            self._set_mode()
+            self._set_mode("input camera")
             look = replace(look, confidence_fade=self._confidence_fade.value)
         with self._worker.change():
             if look.compare == "wipe":
