@@ -1,8 +1,10 @@
-"""The sound of a stretch of a film as a file of its own, without loss at 16 bits."""
+"""The sound of a stretch of a film: as a file of its own, without loss at 16 bits, and for other encoders."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Literal
 
 import av
 import numpy as np
@@ -35,16 +37,40 @@ def keep_sound(source: Path, start: float, seconds: float, path: Path) -> bool:
         with atomic_path(path) as temporary, av.open(str(temporary), "w", format="flac") as out:
             stream = out.add_stream("flac", rate=rate)
             stream.layout, stream.format = layout, "s16"
-            written = 0
-            for block in read_sound_blocks(container, track, start, rate, layout):
-                block = block[:, : left - written]
-                if block.shape[1]:
-                    samples = np.rint(np.clip(np.nan_to_num(block.T), -1, 1) * 32767).astype(np.int16).reshape(1, -1)
-                    frame = av.AudioFrame.from_ndarray(samples, "s16", layout)
-                    frame.sample_rate, frame.pts = rate, written
-                    out.mux(stream.encode(frame))
-                    written += block.shape[1]
-                if written >= left:
-                    break
-            out.mux(stream.encode())
+            encode_sound_blocks(out, stream, read_sound_blocks(container, track, start, rate, layout), left, "s16")
     return True
+
+
+def encode_sound_blocks(
+    out: av.container.OutputContainer,
+    stream: av.AudioStream,
+    blocks: Iterable[np.ndarray],
+    count: int,
+    samples: Literal["s16", "flt"],
+) -> int:
+    """Encode the first samples of a sound and end the stream; values are kept to [-1, 1], and are 0 where they are no numbers.
+
+    Args:
+        out: file that the stream is of.
+        stream: its ``rate`` and ``layout`` are those of ``blocks``.
+        blocks: (channels, samples) float each, as ``read_sound_blocks`` yields them.
+        count: samples of a channel that are wanted at most.
+        samples: what the encoder takes: whole numbers of 16 bits, or floats.
+
+    Returns:
+        samples of a channel that there were.
+    """
+    written = 0
+    for block in blocks:
+        block = block[:, : count - written]
+        if block.shape[1]:
+            values = np.clip(np.nan_to_num(block.T), -1, 1).reshape(1, -1)
+            packed = np.rint(values * 32767).astype(np.int16) if samples == "s16" else np.ascontiguousarray(values, np.float32)
+            frame = av.AudioFrame.from_ndarray(packed, samples, stream.layout)
+            frame.sample_rate, frame.pts = stream.rate, written
+            out.mux(stream.encode(frame))
+            written += block.shape[1]
+        if written >= count:
+            break
+    out.mux(stream.encode())
+    return written

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import av
-import numpy as np
 
 from flowsplat.images.media import open_media
+from flowsplat.images.sound import encode_sound_blocks
 from flowsplat.images.video import find_sound_track, read_sound_blocks
 
 RATE = 48000
@@ -40,29 +40,20 @@ def encode_sound(path: Path, start: float, seconds: float) -> OpusSound | None:
         InputError: the file is missing.
     """
     try:
-        container, written = open_media(path), 0
+        container = open_media(path)
         with container:
             track = find_sound_track(container)
             if track is None:
                 return None
             layout = "mono" if track.channels == 1 else "stereo"
-            left, memory = round(seconds * RATE), io.BytesIO()
+            memory = io.BytesIO()
             # Without ``bitexact`` the numbers of its streams are random.
             with av.open(memory, "w", format="ogg", options={"fflags": "+bitexact"}) as out:
                 stream = out.add_stream("libopus", rate=RATE)
                 stream.layout = layout
                 stream.bit_rate = BITS_A_CHANNEL * (1 if layout == "mono" else 2)
-                for block in read_sound_blocks(container, track, start, RATE, layout):
-                    block = block[:, : left - written]
-                    if block.shape[1]:
-                        samples = np.ascontiguousarray(np.clip(np.nan_to_num(block.T), -1, 1), np.float32).reshape(1, -1)
-                        frame = av.AudioFrame.from_ndarray(samples, "flt", layout)
-                        frame.sample_rate, frame.pts = RATE, written
-                        out.mux(stream.encode(frame))
-                        written += block.shape[1]
-                    if written >= left:
-                        break
-                out.mux(stream.encode())
+                blocks = read_sound_blocks(container, track, start, RATE, layout)
+                written = encode_sound_blocks(out, stream, blocks, round(seconds * RATE), "flt")
     except (av.FFmpegError, av.codec.codec.UnknownCodecError):
         return None
     return OpusSound(memory.getvalue(), layout, written / RATE) if written else None
