@@ -18,9 +18,11 @@ import numpy as np
 import pytest
 
 import flowsplat
+from flowsplat import pipeline
 from flowsplat.cli import main
 from flowsplat.cli.command import functions_of
 from flowsplat.cli.help import USUAL_OPTIONS
+from flowsplat.common.errors import InputError
 from flowsplat.common.kernel_cache import kernels_folder, key_of
 from flowsplat.common.source import PACKAGE
 from flowsplat.pipeline.compiling import read_signatures
@@ -67,6 +69,25 @@ def scene(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("cli") / "scene"
     write_synthetic(folder, SyntheticScene(width=64, height=48, frames=12, fps=6.0), holdout=10)
     return folder
+
+
+@pytest.mark.parametrize(
+    ("arguments", "folder"),
+    [
+        (["films/Urlaub am See.mov"], "out/Urlaub am See"), (["films/clip.mp4", "-o", "mine"], "mine"), (["films"], "out/films"),
+        (["."], "out/here"), (["films", "--sequence", "bear"], "out/bear"), (["films/..."], "out/clip"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("command", ["run", "prepare"])
+def test_without_a_folder_the_name_of_the_clip_is_one(tmp_path, monkeypatch, capsys, command, arguments, folder):
+    def refuse_folder(source, out, *_):
+        raise InputError(f"made in {Path(out).as_posix()}")
+
+    for name in ("run_shots", "prepare"):
+        monkeypatch.setattr(pipeline, name, refuse_folder)
+    (tmp_path / "here" / "films").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "here")
+    assert refuse(capsys, command, *arguments) == f"Error: made in {folder}"
 
 
 def test_help_explains(capsys):
