@@ -73,7 +73,7 @@ def run_all(
     if report_only:
         return write_report(out, docs)
     if missing:
-        scenes = ", ".join(dict.fromkeys(f"{cell.needs}/{cell.scene}" for cell in missing))
+        scenes = ", ".join(dict.fromkeys(cell.folder for cell in missing))
         report(f"{len(missing)} cells are left out, whose scenes are not in {root}: {scenes}.")
     if docs is not None:
         _take_kept(chosen, out, docs / RECORDS)
@@ -203,7 +203,7 @@ def describe_plan(cells: Sequence[Cell], missing: Sequence[Cell], out: Path, kep
             lines.append(f"{cell.name}: failed: {record.failure}")
         else:
             lines.append(f"{cell.name}: done in {format_duration(record.seconds or 0.0)}")
-    lines += [f"{cell.name}: left out, {cell.needs}/{cell.scene} is not in the data root" for cell in missing]
+    lines += [f"{cell.name}: left out, {cell.folder} is not in the data root" for cell in missing]
     left = [cell.seconds for cell in cells if cell.name not in done]
     lines.append(
         f"{len(cells)} cells, {len(done)} done at {describe_commit()}; the rest takes about {format_duration(factor * sum(left))}."

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from flowsplat.common.errors import InputError
 from flowsplat_benchmarks.ablations.benchmark import SEEDS as ABLATION_SEEDS
 from flowsplat_benchmarks.ablations.claims import FULL, PAPER_ORDERS, choose_claims, list_needed_variants
+from flowsplat_benchmarks.datasets.cases import OWN_SUFFIX
 from flowsplat_benchmarks.models.lineup import BASE, LINEUP
 
 CLIP_SIDE = 427
@@ -22,7 +23,11 @@ ABLATION_SCENES = ("bear", "workshop")
 OWN_ROWS = ("no-gains", "one-color", "spheres", "even-detail", "samples-7", "even-rates", "no-coverage", "no-depth", "static")
 """Rows of the ablations beside the paper's own: what we added, and a scene that stands still."""
 PAPER_ROWS = ("representation", "training", "orders")
-MODEL_SCENES = ("bear", "street")
+MODEL_SCENES = ("bear", "street", "workshop", f"street{OWN_SUFFIX}", "dance-twirl")
+MODEL_SEEDS = {"bear": (0, 1), "street": (0, 1)}
+"""Seeds of the first models on a scene; one where it is not named."""
+FIELD_TIMES = (1, 10)
+"""How many times as long as ``default`` each field is trained."""
 ORACLES = ("none", "outline", "background")
 """Of benchmark oracles: own priors; masks and depth of objects true; depth of what rests true, too."""
 CAPS = (50_000, 100_000, 0)
@@ -32,7 +37,7 @@ WORLDS = {"plain": range(900, 910), "crowd": range(900, 905), "dancers": range(9
 """Seeds of random worlds by their kind. Those from 900 on decide between versions."""
 GROWTH = {"frames": (100, 200, 400, 800), "pixels": (427, 640, 854)}
 """Runs of the built-in clip: so many frames of 320 pixels, and 16 frames with so many pixels of the long side."""
-MODEL_SECONDS = {"series": 110, "linear": 200, "splines": 200, "marbles": 220, "bases": 380, "deformation": 320, "hexplane": 700}
+MODEL_SECONDS = {"series": 100, "linear": 170, "splines": 115, "marbles": 80, "bases": 145, "deformation": 290, "hexplane": 390}
 """Estimates of a training with each model."""
 
 
@@ -55,6 +60,11 @@ class Cell:
     seed: int
     seconds: float
     needs: str = ""
+
+    @property
+    def folder(self) -> str:
+        """Of its scene, below the data root."""
+        return f"{self.needs}/{self.scene.removesuffix(OWN_SUFFIX)}"
 
     @property
     def name(self) -> str:
@@ -135,12 +145,18 @@ def _trainings() -> Iterator[Cell]:
     for name in MODEL_SCENES:
         for entrant in LINEUP:
             kind = entrant.variant.name
-            for seed in (0, 1) if kind in (BASE.variant.name, "splines") else (0,):
-                yield Cell("models", name, kind, seed, MODEL_SECONDS[kind], folders[name])
+            for seed in MODEL_SEEDS.get(name, (0,)) if kind in (BASE.variant.name, "splines") else (0,):
+                yield Cell("models", name, kind, seed, MODEL_SECONDS[kind], folders[name.removesuffix(OWN_SUFFIX)])
     for name in ABLATION_SCENES:
         for cap in CAPS:
             yield Cell("caps", name, f"{cap or 'free'}", 0, {50_000: 70, 100_000: 100, 0: 150}[cap], folders[name])
         for count in STEP_COUNTS:
             yield Cell("caps", name, f"{count}-steps", 0, 20 + count / 10, folders[name])
     for field in ("t-nerf", "hypernerf"):
-        yield Cell("fields", "bear", field, 0, 280, "davis")
+        for times in FIELD_TIMES:
+            yield Cell("fields", "bear", name_field(field, times), 0, 470 + 35 * times, "davis")
+
+
+def name_field(field: str, times: int) -> str:
+    """Return the variant of a cell of fields: which field, and how many times as long as ``default`` it is trained."""
+    return field if times == 1 else f"{field}-{times}-times"

@@ -32,7 +32,7 @@ from flowsplat_benchmarks.objects import benchmark as objects
 from flowsplat_benchmarks.oracles.benchmark import oracle_runs
 from flowsplat_benchmarks.priors import benchmark as priors
 from flowsplat_benchmarks.priors.scenes import choose_scenes as choose_prior_scenes
-from flowsplat_benchmarks.results.cells import CLIP_SIDE, Cell
+from flowsplat_benchmarks.results.cells import CLIP_SIDE, FIELD_TIMES, Cell, name_field
 from flowsplat_benchmarks.scripts import growth
 
 Figures = dict[str, Any]
@@ -50,7 +50,7 @@ def list_missing(root: Path, cells: Iterable[Cell]) -> list[Cell]:
     """
     if not root.is_dir():
         raise InputError(f"{root} is no folder: give the data root, which holds davis/, rig/ and flow/.")
-    return [cell for cell in cells if cell.needs and not (root / cell.needs / cell.scene).is_dir()]
+    return [cell for cell in cells if cell.needs and not (root / cell.folder).is_dir()]
 
 
 def measure_cell(cell: Cell, root: Path, work: Path) -> Figures:
@@ -115,19 +115,21 @@ def _train(cell: Cell, scene: AblationScene, variant: Variant, iterations: int, 
 
 def _models(cell: Cell, root: Path, work: Path) -> Figures:
     [entrant] = choose_entrants([cell.variant], with_base=False)
-    scene = models.hold_out(_scene(cell, root))
+    scene = models.hold_out(choose_scenes(root, models.list_scenes(root), [cell.scene])[0])
     config = entrant.variant.config(models.ITERATIONS, models.MAX_GAUSSIANS, cell.seed)
     return TrainingRun("models", scene, entrant.variant, config, measure_motion).job(work / "trainings").measure()
 
 
 def _fields(cell: Cell, root: Path, work: Path) -> Figures:
-    """Train ``default`` first where nobody has: what that takes is how long a field is trained."""
+    """Train ``default`` first where nobody has: what that takes, or so many times that, is how long a field is trained."""
     scene, out = _scene(cell, root, fields.SIZE), make_folder(work / "fields")
     first = fields.default_run(scene, cell.seed).job(out)
     if not first.is_measured(out):
         write_json(first.file(out), {**first.measure(), "key": first.key})
-    name = next(each for each in fields.FIELDS if each == cell.variant)
-    found = fields.FieldRun(scene, name, 1, 0.0, cell.seed, FieldConfig()).job(out).measure()
+    name, times = next(
+        (field, times) for field in fields.FIELDS for times in FIELD_TIMES if name_field(field, times) == cell.variant
+    )
+    found = fields.FieldRun(scene, name, times, 0.0, cell.seed, FieldConfig()).job(out).measure()
     return {**found, "default": read_json(first.file(out))}
 
 

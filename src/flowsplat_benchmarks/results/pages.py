@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 from flowsplat.common.files import make_folder, write_text
 from flowsplat_benchmarks.ablations.claims import CLAIMS, FULL, PAPER_ORDERS, TITLES, Claim
 from flowsplat_benchmarks.ablations.verdicts import EVEN_DECIBELS, Effect, verdict
+from flowsplat_benchmarks.datasets.cases import OWN_SUFFIX
+from flowsplat_benchmarks.fields import benchmark as fields_benchmark
 from flowsplat_benchmarks.models.lineup import BASE, LINEUP
 from flowsplat_benchmarks.results.cells import (
     ABLATION_SCENES,
     CAPS,
     CLIP_SIDE,
     CLIPS,
+    FIELD_TIMES,
     GROWTH,
     MASKED_CLIPS,
     MODEL_SCENES,
@@ -26,6 +29,7 @@ from flowsplat_benchmarks.results.cells import (
     RENDERED,
     STEP_COUNTS,
     list_cells,
+    name_field,
 )
 from flowsplat_benchmarks.results.overview import format_overview
 from flowsplat_benchmarks.results.paper_page import list_paper_tables
@@ -309,12 +313,13 @@ def _bracket(value: float | None) -> str:
 
 
 def _models(records: Records) -> list[Table]:
-    return [_tabulate_models(name, records) for name in MODEL_SCENES]
+    return [*(_tabulate_models(name, records) for name in MODEL_SCENES), _tabulate_fields(records)]
 
 
 def _tabulate_models(scene: str, records: Records) -> Table:
     rows = [(entrant.variant.label, records.row("models", scene, entrant.variant.name)) for entrant in LINEUP]
-    is_clip = scene not in RENDERED
+    rendered = scene.removesuffix(OWN_SUFFIX)
+    is_clip, has_own = rendered not in RENDERED, rendered != scene
     columns: tuple[Shown | tuple[str, Callable[[Row], str | None]], ...] = (
         Shown("held-out times (inside)", (("times", "psnr"), ("times", "moving", "psnr"))),
         *(
@@ -328,8 +333,32 @@ def _tabulate_models(scene: str, records: Records) -> Table:
         Shown("MB", (("parameters", "bytes"),), 0, 1e-6),
         ("times as long", partial(_times_as_long, records.row("models", scene, BASE.variant.name))),
     )  # fmt: skip
-    note = f"At {CLIP_SIDE} pixels, given masks." if is_clip else "480x270, true priors; *aside*: 36 images by held-out cameras."
-    return make_table(f"{scene.capitalize()} (*tuned*)", note, rows, columns, "motion", strong=(0,))
+    priors = "own" if has_own else "true"
+    note = (
+        f"At {CLIP_SIDE} pixels, given masks." if is_clip else f"480x270, {priors} priors; *aside*: 36 images by held-out cameras."
+    )
+    title = name_of(rendered) + (", own priors" if has_own else "")
+    return make_table(title[0].upper() + title[1:], note, rows, columns, "motion", strong=(0,))
+
+
+def _tabulate_fields(records: Records) -> Table:
+    """Tabulate fields beside ``default``, which is in the record of each."""
+    fields = [
+        (f"{label}, {'as long as flowsplat' if times == 1 else f'{times} times as long'}", name_field(field, times))
+        for field, label in (("t-nerf", "T-NeRF"), ("hypernerf", "HyperNeRF"))
+        for times in FIELD_TIMES
+    ]
+    rows = [(label, records.row("fields", "bear", variant)) for label, variant in fields]
+    beside = [replace(record, result=default) for record in rows[0][1].records if (default := (record.result or {}).get("default"))]
+    columns = (
+        Shown("PSNR (inside)", (("psnr",), ("moving",))), Shown("SSIM", (("ssim",),), 3), Shown("steps", (("iterations",),), 0),
+        Shown("training, s", (("seconds", "train"),), 0), Shown("an image, s", (("image_seconds",),)),
+    )  # fmt: skip
+    note = (
+        f"Bear at {fields_benchmark.SIZE} pixels of width, one frame in ten held out: two neural fields from their published "
+        "architecture, trained for as long as `default` takes on the same processor, and for ten times as long."
+    )
+    return make_table("Fields", note, [("flowsplat, `default`", Row(beside, records.used)), *rows], columns, "", strong=(0,))
 
 
 def _times_as_long(base: Row, row: Row) -> str | None:

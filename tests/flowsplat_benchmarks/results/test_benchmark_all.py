@@ -272,6 +272,8 @@ def test_the_plan():
     assert [cell.name for cell in choose_cells(cells, ["fields"], [])] == [
         "fields_bear_t-nerf_seed0",
         "fields_bear_hypernerf_seed0",
+        "fields_bear_t-nerf-10-times_seed0",
+        "fields_bear_hypernerf-10-times_seed0",
     ]
     assert {cell.seed for cell in choose_cells(cells, ["rig"], [1])} == {1}
     with pytest.raises(InputError, match="--only nothing: no benchmark, scene or cell is called so"):
@@ -317,6 +319,7 @@ def test_the_other_benchmarks_are_asked_for_their_part(data_root, tmp_path, monk
         jobs.TrainingRun, "_measure", lambda run, _: (run.scene.name, run.variant.name, run.config.seed, run.measure_more)
     )
     assert do("models", "clip", "splines", 1) == ("clip_427_gaps", "splines", 1, jobs.measure_motion)
+    assert do("models", "tiny-own", "series", 0)[:2] == ("tiny-own_gaps", "series")
     monkeypatch.setattr(jobs.growth, "enlarge", lambda _, side, path: path)
     monkeypatch.setattr(
         jobs.growth, "measure", lambda case: {"case": (case.kind, case.frames, case.side), "clip": "/home", "out": "/"}
@@ -329,11 +332,11 @@ def test_a_field_is_trained_as_long_as_default(data_root, tmp_path, monkeypatch)
     trained = []
     monkeypatch.setattr(jobs.TrainingRun, "_measure", lambda run, out: trained.append(run.protocol) or {"seconds": {"train": 9.0}})
     monkeypatch.setattr(
-        jobs.fields, "measure", lambda run, out: {"field": run.field, "budget": jobs.fields._read_seconds(run, out)}
+        jobs.fields, "measure", lambda run, out: {"field": run.field, "budget": run.times * jobs.fields._read_seconds(run, out)}
     )
-    for _ in range(2):
-        found = jobs.measure_cell(Cell("fields", "clip", "t-nerf", 0, 1.0), data_root, tmp_path)
-        assert (found["field"], found["budget"], found["default"]["seconds"]) == ("t-nerf", 9.0, {"train": 9.0})
+    for variant, seconds in (("t-nerf", 9.0), ("t-nerf", 9.0), ("t-nerf-10-times", 90.0)):
+        found = jobs.measure_cell(Cell("fields", "clip", variant, 0, 1.0), data_root, tmp_path)
+        assert (found["field"], found["budget"], found["default"]["seconds"]) == ("t-nerf", seconds, {"train": 9.0})
     assert trained == ["fields"], "default is trained once"
 
 
@@ -357,6 +360,7 @@ def complete(cell: Cell) -> Record:
         "moving": 31.111, "gaps": dict.fromkeys(("1", "3", "5", "end"), whole), "parameters": {"bytes": 2.3e7},
         "figures": dict.fromkeys((*keys, *more), 99.999), "own": {"objects": [one] * 4}, "true": {"objects": [one] * 4},
         "gaussians": {"total": 212257, "active_mean": 89820}, "page_bytes": 1.01e7, "peak_memory_gib": 3.55, "peak": 1.8,
+        "default": {"psnr": 39.58, "moving": 35.77, "ssim": 0.989, "iterations": 1600, "seconds": seconds, "image_seconds": 0.012},
     }  # fmt: skip
     return Record(
         cell.benchmark,
