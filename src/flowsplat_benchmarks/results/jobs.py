@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
@@ -21,6 +20,7 @@ from flowsplat_benchmarks.ablations.claims import CLAIMS, list_needed_variants
 from flowsplat_benchmarks.ablations.scenes import AblationScene, ablation_scenes, choose_scenes
 from flowsplat_benchmarks.ablations.training_runs import TrainingRun
 from flowsplat_benchmarks.ablations.variants import Variant
+from flowsplat_benchmarks.clock import read_clock
 from flowsplat_benchmarks.datasets.cases import davis_cases, rig_cases
 from flowsplat_benchmarks.datasets.measure import measure_case
 from flowsplat_benchmarks.fields import benchmark as fields
@@ -154,11 +154,11 @@ def _growth(cell: Cell, root: Path, work: Path) -> Figures:
 def _demo(cell: Cell, root: Path, work: Path) -> Figures:
     """Time the command as a user gives it. Its kernels are compiled already where another cell came before."""
     folder = work / cell.name
-    began = time.perf_counter()
+    began = read_clock()
     done = subprocess.run(
         [sys.executable, "-c", "from flowsplat.cli import main; main()", "demo", "-o", str(folder)], capture_output=True, text=True,
     )  # fmt: skip
-    took = time.perf_counter() - began
+    took = read_clock() - began
     if done.returncode:
         raise InputError(f"flowsplat demo ended with exit code {done.returncode}: {done.stderr.strip()[-MAX_SHOWN_ERROR:]}")
     metrics = read_json(folder / "own" / "metrics.json")

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import time
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.files import make_folder, write_json
+from flowsplat_benchmarks.clock import by_the_processor
 from flowsplat_benchmarks.oracles import benchmark as oracles
 from flowsplat_benchmarks.results import benchmark, jobs
 from flowsplat_benchmarks.results.cells import Cell, choose_cells, list_cells
@@ -338,6 +344,23 @@ def test_a_field_is_trained_as_long_as_default(data_root, tmp_path, monkeypatch)
         found = jobs.measure_cell(Cell("fields", "clip", variant, 0, 1.0), data_root, tmp_path)
         assert (found["field"], found["budget"], found["default"]["seconds"]) == ("t-nerf", seconds, {"train": 9.0})
     assert trained == ["fields"], "default is trained once"
+
+
+@pytest.mark.parametrize("is_counted", [True, False])
+def test_the_demo_takes_what_its_process_does(tmp_path, monkeypatch, is_counted):
+    """By the processor its own seconds count, by the clock those that it was waited for."""
+
+    def work(command, **_):
+        folder = make_folder(Path(command[-1]) / "own")
+        subprocess.run([sys.executable, "-c", "import time\nwhile time.process_time() < 0.6: pass"], check=True)
+        write_json(folder / "metrics.json", {"peak_memory_gib": 1.5})
+        return SimpleNamespace(returncode=0)
+
+    monkeypatch.setattr(jobs, "subprocess", SimpleNamespace(run=work))
+    with by_the_processor() if is_counted else nullcontext():
+        found = jobs.measure_cell(Cell("demo", "street", "", 0, 1.0), tmp_path, tmp_path)
+    assert 0.5 < found["seconds"]["whole"] < 30
+    assert found["peak_memory_gib"] == 1.5
 
 
 def complete(cell: Cell) -> Record:
