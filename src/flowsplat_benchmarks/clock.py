@@ -18,7 +18,7 @@ def by_the_processor() -> Iterator[None]:
 
 
 def read_clock() -> float:
-    """Return ``time.perf_counter()``; within ``by_the_processor`` together with the seconds of the processes that were begun here and
-    have ended, which a difference of two is to hold. Windows does not tell these."""
+    """Return ``time.perf_counter()``; within ``by_the_processor`` with the seconds of the processes that were begun here and have
+    ended. Windows does not tell these."""
     ended = os.times() if time.perf_counter is time.process_time else None
     return time.perf_counter() + (0.0 if ended is None else ended.children_user + ended.children_system)
