@@ -33,7 +33,8 @@ def format_overview(records: Records) -> str:
         "**From aside**: the same of cameras beside the path of rendered scenes. True priors tell what is left when cameras, "
         "depth, masks and flow are right. [More](rendered_scenes.md), [priors](priors.md), [distances of objects](objects.md).", "",
         *aside, "",
-        "**Time and memory**, on two cores without a GPU where nothing else is said. [More](speed.md).", "",
+        "**Time and memory**, on two cores without a GPU where nothing else is said; *(stages)* are seconds of one core, without "
+        "reading and videos. [More](speed.md).", "",
         *costs, "",
         "**Limits.** From aside own priors are behind true ones. What touches nothing stands at a guessed distance, and what no "
         "frame saw is a guess. The NVIDIA scenes, DyCheck and LPIPS are not measured, as data and weights were not at hand. "

@@ -379,9 +379,10 @@ def _times_as_long(base: Row, row: Row) -> str | None:
 def _tabulate_costs(records: Records) -> list[Table]:
     seconds = [Shown(stage, (("seconds", stage),), 0) for stage in STAGES]
     runs = make_table(
-        "A run on a clip, seconds by the clock",
+        "A run on a clip, in seconds",
         "Preset `default`. Whole runs include reading and all videos; *(stages)* is the sum of the stages that the benchmark of "
-        "clips needs, without videos.",
+        "clips needs, without videos. Where the machine at the end is said to be so, seconds are those of one thread's "
+        "processor.",
         [
             (f"{name_of(name)}, {size}", records.row("davis", name, variant))
             for variant, size in (("given", "854x480"), (f"given-{CLIP_SIDE}", f"{CLIP_SIDE} pixels"))
