@@ -25,7 +25,7 @@ OWN_ROWS = ("no-gains", "one-color", "spheres", "even-detail", "samples-7", "eve
 PAPER_ROWS = ("representation", "training", "orders")
 MODEL_SCENES = ("bear", "street", "workshop", f"street{OWN_SUFFIX}", "dance-twirl")
 MODEL_SEEDS = {"bear": (0, 1), "street": (0, 1)}
-"""Seeds of the first models on a scene; one where it is not named."""
+"""Seeds of the series and the splines, by scene; one seed where it is not named, and of the other models."""
 FIELD_TIMES = (1, 10)
 """How many times as long as ``default`` each field is trained."""
 ORACLES = ("none", "outline", "background")
