@@ -56,3 +56,13 @@ def test_rulers_name_places_in_pixels():
     np.testing.assert_allclose(ticks * 854 / 160, np.arange(0, 854, 100), atol=3)
     down = np.flatnonzero((sheet[margin:, margin - 2] == 90).all(-1))
     np.testing.assert_allclose(down * 480 / 90, np.arange(0, 480, 100), atol=3)
+
+
+@pytest.mark.parametrize("width", [801, 1081, 1281, 1921])
+def test_the_last_tick_of_a_ruler_is_on_the_sheet(width):
+    """``round`` can put the tick of the last pixels onto the sheet's own end."""
+    image = np.full((225, 400, 3), 128, np.uint8)
+    for size, shown in (((width, 600), image), ((600, width), image.transpose(1, 0, 2))):
+        sheet = with_rulers(shown, size)
+        margin = sheet.shape[0] - shown.shape[0]
+        assert (sheet[margin:, margin:] == 128).all()

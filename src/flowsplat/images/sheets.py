@@ -58,7 +58,7 @@ def with_rulers(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     sheet[_RULER_WIDTH:, _RULER_WIDTH:] = image
     for across, (length, count) in ((True, (width, size[0])), (False, (height, size[1]))):
         for value in range(0, count, step // 5):
-            at = _RULER_WIDTH + round(value * length / count)
+            at = _RULER_WIDTH + min(round(value * length / count), length - 1)
             whole = value % step == 0
             tick = _RULER_WIDTH - (8 if whole else 4)
             along = slice(tick, _RULER_WIDTH)

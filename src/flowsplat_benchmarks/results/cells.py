@@ -28,7 +28,7 @@ MODEL_SEEDS = {"bear": (0, 1), "street": (0, 1)}
 """Seeds of the series and the splines, by scene; one seed where it is not named, and of the other models."""
 FIELD_TIMES = (1, 10)
 """How many times as long as ``default`` each field is trained."""
-ORACLES = ("none", "outline", "background")
+ORACLES = ("own", "outline", "background")
 """Of benchmark oracles: own priors; masks and depth of objects true; depth of what rests true, too."""
 CAPS = (50_000, 100_000, 0)
 """Gaussians at most; 0 = as many as ``default`` takes."""

@@ -83,7 +83,7 @@ def _costs(records: Records) -> list[str]:
     demo, first = records.row("demo", "street"), records.row("demo", "first")
     whole, memory = tell_whole_run(run), run.value("peak_memory_gib")
     time = "" if whole is None else f"{whole} s".replace(" (stages) s", " s (stages)")
-    rows = [("bear, 82 frames of 854x480, a whole run", time, "–" if memory is None else f"{text(memory, 1)} GiB", run)]
+    rows = [("bear, 82 frames of 854x480", time, "–" if memory is None else f"{text(memory, 1)} GiB", run)]
     for name, row, key in (
         ("of which training", records.row("davis", "bear", "given"), "train"),
         ("`flowsplat demo` (two runs on 40 frames of 320x180)", demo, "whole"),

@@ -220,7 +220,7 @@ def _priors(records: Records) -> list[Table]:
             shown("peak memory, GiB", "time.memory"),
         ), "scene",
     )  # fmt: skip
-    labels = {"none": "own priors", "outline": "true masks and depth of objects", "background": "true depth of what rests, too"}
+    labels = {"own": "own priors", "outline": "true masks and depth of objects", "background": "true depth of what rests, too"}
     costs = make_table(
         "What each costs from aside", "Held-out cameras after 1,000 steps, with more and more of the priors replaced by the truth.",
         [
@@ -356,7 +356,8 @@ def _tabulate_fields(records: Records) -> Table:
     )  # fmt: skip
     note = (
         f"Bear at {fields_benchmark.SIZE} pixels of width, one frame in ten held out: two neural fields from their published "
-        "architecture, trained for as long as `default` takes on the same processor, and for ten times as long."
+        "architecture, trained for as long as `default` takes on the same processor, and for ten times as long. "
+        "How many steps fit is planned from the time of the first, so the seconds can be fewer."
     )
     return make_table("Fields", note, [("flowsplat, `default`", Row(beside, records.used)), *rows], columns, "", strong=(0,))
 

@@ -125,13 +125,14 @@ def _where(record: Record) -> str:
 
 def tell_whole_run(row: Row) -> str | None:
     """Return the seconds of a run, from the newest record that has some: as they were taken, or of its stages together, without
-    reading and videos; None where there are none."""
+    reading and videos; None where there are none, or where a stage that every run has is missing, as in a continued one."""
     for record in reversed(row.records):
         whole = figure(record, ("whole_seconds",))
-        stages = [value for stage in STAGES if (value := figure(record, ("seconds", stage))) is not None]
-        if whole is not None or stages:
+        stages = {stage: value for stage in STAGES if (value := figure(record, ("seconds", stage))) is not None}
+        is_complete = all(stage in stages for stage in STAGES if stage != "masks")  # which can be given
+        if whole is not None or is_complete:
             row.note_commit(record.commit)
-            return text(whole, 0) if whole is not None else f"{text(sum(stages), 0)} (stages)"
+            return text(whole, 0) if whole is not None else f"{text(sum(stages.values()), 0)} (stages)"
     return None
 
 

@@ -18,11 +18,11 @@ from flowsplat.common.files import make_folder, write_json
 from flowsplat_benchmarks.clock import by_the_processor
 from flowsplat_benchmarks.oracles import benchmark as oracles
 from flowsplat_benchmarks.results import benchmark, jobs
-from flowsplat_benchmarks.results.cells import Cell, choose_cells, list_cells
+from flowsplat_benchmarks.results.cells import ORACLES, Cell, choose_cells, list_cells
 from flowsplat_benchmarks.results.jobs import JOBS, list_missing
 from flowsplat_benchmarks.results.pages import format_pages
 from flowsplat_benchmarks.results.records import Record, read_records, write_record
-from flowsplat_benchmarks.results.rows import Records, compare
+from flowsplat_benchmarks.results.rows import STAGES, Records, compare, tell_whole_run
 from tests.flowsplat_benchmarks.ablations.test_training_runs import call, refuse
 
 CELLS = [
@@ -320,7 +320,7 @@ def test_the_other_benchmarks_are_asked_for_their_part(data_root, tmp_path, monk
     assert do("objects", "plain-904", "", 0) == (904, "any", False)
     assert do("objects", "dancers-900", "", 0) == (900, "dancers", False)
     monkeypatch.setattr(oracles.OracleRun, "_measure", lambda run, out: (run.oracle, run.case.config.train.iterations))
-    assert do("oracles", "tiny", "outline", 0) == ("outline", 1000)
+    assert [do("oracles", "tiny", oracle, 0) for oracle in ORACLES] == [(oracle, 1000) for oracle in ORACLES]
     monkeypatch.setattr(
         jobs.TrainingRun, "_measure", lambda run, _: (run.scene.name, run.variant.name, run.config.seed, run.measure_more)
     )
@@ -410,3 +410,15 @@ def test_the_pages_of_a_whole_night_are_short():
     assert left.pop("speed") == 1, "the same demo"
     assert left.pop("ablations") == 1, "train, of which there are earlier records alone"
     assert left == dict.fromkeys(left, 0)
+
+
+def test_stages_are_summed_only_where_none_is_missing():
+    """A run that was continued does not know what its first stages took."""
+    seconds = dict.fromkeys(STAGES, 10.0)
+
+    def told(kept: dict[str, float]) -> str | None:
+        return tell_whole_run(Records([record(30.0, seconds=kept)]).row("davis", "bear", "given"))
+
+    assert told(seconds) == f"{10 * len(STAGES)} (stages)"
+    assert told({stage: value for stage, value in seconds.items() if stage != "masks"}) == f"{10 * (len(STAGES) - 1)} (stages)"
+    assert told({stage: value for stage, value in seconds.items() if stage != "cameras"}) is None

@@ -5,7 +5,7 @@
 | ``objects.json`` | ``normal`` [3] up, ``ground``: whether there is one; of each of the ``objects`` its ``number`` in the masks, |
 | | ``sigma`` of ln distance, whether it is ``rigid``, the ``expected`` shape offset, and the ``cues`` that speak for its distance |
 | ``objects.npz`` | ``log_depth`` [M, T] and ``middles`` [M, T, 2] of the objects over the training frames; of all points on them |
-| | ``obj``, ``frame``, ``pixels``, ``point_log_depth`` and ``point_sigma`` |
+| | ``object_id``, ``frame``, ``pixels``, ``point_log_depth`` and ``point_sigma`` |
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ function offerObjects(state) {
   const most = [...state.about.objects].sort((a, b) => b[1] - a[1]).slice(0, MAX_CLUSTERS);
   const numbers = most.map(([number]) => number).sort((a, b) => a - b);
   const sliders = numbers.map((number) => {
-    element("part").add(new Option(`obj ${number}`, `objects:${number}`));
+    element("part").add(new Option(`object ${number}`, `objects:${number}`));
     const slider = Object.assign(document.createElement("input"), { type: "range", ...DISTANCES, value: 1, id: `distance${number}` });
     const times = Object.assign(document.createElement("output"), { textContent: "1.00" });
     slider.oninput = () => {
@@ -18,7 +18,7 @@ function offerObjects(state) {
       times.textContent = Number(slider.value).toFixed(2);
     };
     const label = document.createElement("label");
-    label.append(`DynamicObject ${number} `, slider, " ", times);
+    label.append(`Object ${number} `, slider, " ", times);
     element("distances").insertBefore(label, element("trained"));
     return slider;
   });
