@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import av
 import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
+from flowsplat.images.gif import write_gif
 from flowsplat.images.media import open_media
 from flowsplat.images.sound import keep_sound
-from flowsplat.images.video import write_mp4
+from flowsplat.images.transparent import webm_writer
+from flowsplat.images.video import read_first_frame, write_mp4
 
 
 def a_film(path):
@@ -85,3 +88,16 @@ def test_films_of_images_that_are_too_large_are_refused(tmp_path):
     assert (tmp_path / "a.mov").stat().st_size < 200_000
     with pytest.raises(InputError, match=r"8,000 x 7,000 pixels, more than the 55 million"):
         open_media(tmp_path / "a.mov")
+
+
+@pytest.mark.parametrize("folder", ["take:2", "http:", "50% öäü"])
+def test_any_folder_can_be_written_to(tmp_path, monkeypatch, folder):
+    """FFmpeg takes ``take:2/a.mp4`` for an address of a protocol called take."""
+    (tmp_path / folder).mkdir()
+    monkeypatch.chdir(tmp_path)
+    write_mp4(Path(folder, "a.mp4"), [np.zeros((16, 16, 3), np.uint8)] * 3, 5)
+    write_gif(Path(folder, "a.gif"), [np.zeros((16, 16, 3), np.uint8)] * 3, 5)
+    with webm_writer(Path(folder, "a.webm"), 5) as write:
+        write(np.zeros((16, 16, 4), np.uint8))
+    for name in ("a.mp4", "a.gif", "a.webm"):
+        assert read_first_frame(Path(folder, name)).shape == (16, 16, 3)

@@ -176,6 +176,7 @@ def test_videos_of_every_kind(tmp_path):
         "orbit_background_stereo": "orbit_background_stereo.mp4", "input_path_objects": "input_path_objects.webm",
         "wiggle": "wiggle.gif", "orbit_distance_2x1.2_3x0.9_objects_2_3": "o.webm",
         "stabilized_slow2.5_objects": "stabilized_slow2.5_objects.webm", "custom_path_round-it": "custom_path_round-it.mp4",
+        "custom_path_at_distance_x_slowly_color_distance_3x2": "custom_path_o.mp4",
     }  # fmt: skip
     page = write(tmp_path, replace(made_up_run(), videos=videos))
     assert "Round the middle of the clip, the background alone." in page
@@ -184,6 +185,7 @@ def test_videos_of_every_kind(tmp_path):
     assert "the objects alone." in page
     assert "Round the middle of the clip, object 2 1.2 times as far, object 3 0.9 times as far, object 2, 3 alone." in page
     assert "Along the camera path round-it" in page
+    assert "Along the camera path at_distance_x_slowly_color, object 3 2 times as far" in page
     assert "without the shaking, 2.5 times slower, the objects alone." in page
     assert '<img src="renders/wiggle.gif"' in page
     assert '<video controls muted loop playsinline preload="metadata" src="renders/input_path_objects.webm">' in page

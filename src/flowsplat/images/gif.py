@@ -11,6 +11,7 @@ import av.video
 import numpy as np
 
 from flowsplat.common.files import atomic_path
+from flowsplat.images.media import create_media
 
 
 def write_gif(path: Path, frames: Sequence[np.ndarray], fps: float) -> None:
@@ -26,7 +27,7 @@ def write_gif(path: Path, frames: Sequence[np.ndarray], fps: float) -> None:
         raise ValueError("a GIF needs at least one frame")
     rate = Fraction(100, max(round(100 / fps), 1))
     height, width = frames[0].shape[:2]
-    with atomic_path(path) as temporary, av.open(str(temporary), "w", format="gif", options={"loop": "0"}) as container:
+    with atomic_path(path) as temporary, create_media(temporary, "gif", {"loop": "0"}) as container:
         stream = container.add_stream("gif", rate=rate)
         assert isinstance(stream, av.video.VideoStream)
         stream.width, stream.height, stream.pix_fmt = width, height, "pal8"

@@ -1,4 +1,4 @@
-"""Opening films and sounds: what FFmpeg is given is a file, and it may open nothing else.
+"""Opening films and sounds, to read and to write: what FFmpeg is given is a file, and it may open nothing else.
 
 To FFmpeg a name is an address: ``http://...`` is fetched, ``12:30.mp4`` is of a protocol called 12, and playlists name further
 files.
@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import av
-from av.container import InputContainer
+from av.container import InputContainer, OutputContainer
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import ordinary_file
@@ -29,7 +29,7 @@ def open_media(path: Path) -> InputContainer:
         av.FFmpegError: it cannot be read.
     """
     ordinary_file(path)
-    container = av.open(f"file:{Path(path).absolute()}", options={"protocol_whitelist": "file"}, **_METADATA)
+    container = av.open(_address(path), options={"protocol_whitelist": "file"}, **_METADATA)
     if set(container.format.name.split(",")) & _LISTS:
         container.close()
         raise InputError(f"{path} is a list of other files: give one of these.")
@@ -46,3 +46,21 @@ def open_media(path: Path) -> InputContainer:
         # Frames may have another size than they are said to have.
         context.options = {**context.options, "max_pixels": str(MAX_PIXELS)}
     return container
+
+
+def create_media(path: Path, kind: str | None = None, options: dict[str, str] | None = None) -> OutputContainer:
+    """Return a film or a sound that is written to a file.
+
+    Args:
+        kind: FFmpeg's name of the format; None takes that of the file's ending.
+        options: of the format.
+
+    Raises:
+        av.FFmpegError: it cannot be written. Those of the system are an OSError, too.
+    """
+    return av.open(_address(path), "w", format=kind, options=options)
+
+
+def _address(path: Path) -> str:
+    """Return a file's name as FFmpeg takes it for nothing else."""
+    return f"file:{Path(path).absolute()}"

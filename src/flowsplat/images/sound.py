@@ -10,7 +10,7 @@ import av
 import numpy as np
 
 from flowsplat.common.files import atomic_path
-from flowsplat.images.media import open_media
+from flowsplat.images.media import create_media, open_media
 from flowsplat.images.video import SOUND_RATES, find_sound_track, read_sound_blocks
 
 
@@ -34,7 +34,7 @@ def keep_sound(source: Path, start: float, seconds: float, path: Path) -> bool:
         rate = track.rate if track.rate in SOUND_RATES else SOUND_RATES[-1]
         layout = "mono" if track.channels == 1 else "stereo"
         left = round(seconds * rate)
-        with atomic_path(path) as temporary, av.open(str(temporary), "w", format="flac") as out:
+        with atomic_path(path) as temporary, create_media(temporary, "flac") as out:
             stream = out.add_stream("flac", rate=rate)
             stream.layout, stream.format = layout, "s16"
             encode_sound_blocks(out, stream, read_sound_blocks(container, track, start, rate, layout), left, "s16")

@@ -13,6 +13,7 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import atomic_path
+from flowsplat.images.media import create_media
 
 _BT709, _LIMITED, _FULL = 1, 1, 2
 """As in ``images.video``."""
@@ -33,7 +34,7 @@ def webm_writer(path: Path, fps: float) -> Iterator[Callable[[np.ndarray], None]
         ValueError: no frames, or frames of different sizes or types.
     """
     rate = Fraction(fps).limit_denominator(1001)
-    with atomic_path(path) as temporary, av.open(str(temporary), "w", options=_REPRODUCIBLE) as container:
+    with atomic_path(path) as temporary, create_media(temporary, options=_REPRODUCIBLE) as container:
         try:
             stream = container.add_stream("libvpx-vp9", rate=rate, options={"crf": str(_CRF), "b": "0", "cpu-used": "4"})
         except (ValueError, av.FFmpegError) as error:

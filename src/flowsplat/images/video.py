@@ -18,7 +18,7 @@ from llvmlite.binding import get_host_cpu_features
 from flowsplat.common.errors import InputError, first_line
 from flowsplat.common.files import atomic_path
 from flowsplat.common.progress import report
-from flowsplat.images.media import open_media
+from flowsplat.images.media import create_media, open_media
 
 MIN_FPS, MAX_FPS = 0.1, 1000.0
 """Frames a second that can be written. Chosen by eye."""
@@ -92,7 +92,7 @@ def mp4_writer(
     """
     rate = Fraction(fps).limit_denominator(1001)
     with atomic_path(path) as temporary, contextlib.ExitStack() as stack:
-        container = stack.enter_context(av.open(str(temporary), "w", options={"movflags": "+faststart"}))
+        container = stack.enter_context(create_media(temporary, options={"movflags": "+faststart"}))
         stream = _video_stream(container, rate, crf, preset)
         sound = stack.enter_context(_Sound(container, audio_from, audio_start))
         shape: tuple[int, ...] = ()

@@ -294,15 +294,15 @@ def video_title(name: str) -> str:
     if objects := re.search(r"_objects((?:_\d+)*)$", rest):
         rest, numbers = rest[: objects.start()], objects[1].strip("_").replace("_", ", ")
         words.insert(0, f"object {numbers} alone" if numbers else "the objects alone")
-    rest, moved, distances = rest.partition("_distance_")
-    if moved:
-        words.insert(0, ", ".join("object {} {} times as far".format(*entry.split("x")) for entry in distances.split("_")))
+    if moved := re.search(r"_distance((?:_\d+x[^_x]+)+)$", rest):
+        rest, distances = rest[: moved.start()], moved[1].strip("_").split("_")
+        words.insert(0, ", ".join("object {} {} times as far".format(*entry.split("x")) for entry in distances))
     if rest.endswith("_confidence_fade"):
         rest = rest.removesuffix("_confidence_fade")
         words.insert(0, "without guesses")
-    rest, slow, times = rest.partition("_slow")
-    if slow:
-        words.insert(0, f"{times} times slower")
+    if slow := re.search(r"_slow(\d[^_]*)$", rest):
+        rest = rest[: slow.start()]
+        words.insert(0, f"{slow[1]} times slower")
     if rest.startswith("custom_path_"):
         rest = f"Along the camera path {rest.removeprefix('custom_path_')}"
     titles = {entry.value.file: entry.sentence.rstrip(".") for entry in PATHS.entries()}

@@ -23,6 +23,8 @@ from flowsplat.output.videos.paths import PATHS, PathRequest
 from flowsplat.output.videos.shots import GIF_FPS, Shot, small
 from flowsplat.scenes import Scene
 
+_MAX_CAMERA_NAME_BYTES = 64
+"""Of the name of a camera file that the names of its videos have. Chosen by eye: names of files end at 150."""
 _SUFFIXES = {"stereo": "mp4", "alpha": "webm", "gif": "gif"}
 
 
@@ -184,8 +186,9 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
 
 
 def name_of(camera_file: Path) -> str:
-    """Return what a camera file is called, as a part of the names of its videos."""
-    return re.sub(r"[^\w.-]", "-", camera_file.stem)
+    """Return what a camera file is called, as a part of the names of its videos: without ``_``, after which such a name says what
+    else a video is, and not longer than a file's name can be with that behind it."""
+    return re.sub(r"[^\w.-]|_", "-", camera_file.stem).encode()[:_MAX_CAMERA_NAME_BYTES].decode(errors="ignore")
 
 
 def _require_objects(objects: PartedRenderer, plan: VideoPlan, part: Part) -> None:
