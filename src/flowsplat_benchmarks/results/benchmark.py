@@ -105,7 +105,7 @@ def _measure(cell: Cell, root: Path, work: Path) -> dict[str, Any]:
     began = time.perf_counter()
     with by_the_processor() if _counts_processor() else nullcontext():
         result = measure_cell(cell, root, work)
-    record = _empty(cell)
+    record = _empty(cell)  # after the measurement: it says when that ended
     machine = record.machine + (", seconds of the processor" if _counts_processor() else "")
     return replace(record, machine=machine, seconds=round(time.perf_counter() - began, 1), result=result).to_json()
 
@@ -118,7 +118,7 @@ def _counts_processor() -> bool:
 
 def _empty(cell: Cell) -> Record:
     known = cell.benchmark, cell.scene, cell.variant, cell.seed
-    return Record(*known, describe_commit(), describe_machine(), torch.get_num_threads())
+    return Record(*known, describe_commit(), describe_machine(), torch.get_num_threads(), ended=round(time.time()))
 
 
 def _keep_failure(cell: Cell, reason: str, out: Path) -> None:
@@ -157,7 +157,7 @@ def write_report(out: Path, docs: Path | None = None) -> Path:
     """Write the pages of what is in ``out``, and return the path of the first.
 
     Args:
-        docs: as ``run_all``. With it, what was kept there before counts, too, as far as ``out`` does not have it.
+        docs: as ``run_all``. With it, what was kept there before counts, too, as far as ``out`` has nothing newer of the cell.
 
     Raises:
         InputError: a record is damaged, or a folder cannot be written.
@@ -170,7 +170,9 @@ def write_report(out: Path, docs: Path | None = None) -> Path:
     kept = make_folder(docs / RECORDS)
     for record in found:
         cell = Cell(record.benchmark, record.scene, record.variant, record.seed, 0.0)
-        write_record(kept / f"{cell.name}.json", record)
+        path = kept / f"{cell.name}.json"
+        if not path.exists() or record.replaces(read_record(path)):
+            write_record(path, record)
     write_pages(read_records(kept), docs)
     return docs / f"{OVERVIEW}.md"
 

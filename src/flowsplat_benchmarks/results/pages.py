@@ -368,8 +368,10 @@ def _times_as_long(base: Row, row: Row) -> str | None:
         same = [each for each in base.records if (each.commit, each.seed) == (record.commit, record.seed)]
         own, of_base = (Row([each]).value("seconds", "train") for each in (record, same[-1])) if same else (None, None)
         if own and of_base:
+            row.note_commit(record.commit)
             return text(own / of_base, 1)
         if (told := Row([record]).value("relative_time")) is not None:
+            row.note_commit(record.commit)
             return text(told, 1)
     return None
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from msgspec import Meta
-from typing_extensions import TypedDict
+from typing_extensions import NotRequired, TypedDict
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import check_json, read_json, write_json
@@ -23,7 +23,7 @@ RECORD_VERSION = 1
 WITH_CHANGES = " with changes"
 """What stands behind a commit where the source has more."""
 Name = Annotated[str, Meta(min_length=1, max_length=150)]
-Seconds = Annotated[float, Meta(ge=0, le=1e9)]
+Seconds = Annotated[float, Meta(ge=0, le=1e11)]
 
 
 class RecordFile(TypedDict):
@@ -40,6 +40,7 @@ class RecordFile(TypedDict):
     seconds: Seconds | None
     failure: Text | None
     result: dict[str, Any]
+    ended: NotRequired[Seconds | None]
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,7 @@ class Record:
         seconds: by the clock, with all that it needed; None = not known.
         failure: why it failed, in a line; None = it did not.
         result: what the benchmark measured; empty where it failed.
+        ended: when, in seconds since 1970; None = before those that say it.
         version: of the file.
     """
 
@@ -70,15 +72,24 @@ class Record:
     seconds: float | None = None
     failure: str | None = None
     result: Mapping[str, Any] | None = None
+    ended: float | None = None
     version: int = RECORD_VERSION
 
     def to_json(self) -> dict[str, Any]:
         """Return what its file holds."""
         return {**asdict(self), "result": dict(self.result or {})}
 
+    def replaces(self, other: Record) -> bool:
+        """Return whether this is to be kept in the place of another of the same cell: a newer one, and at one commit no failure in
+        the place of figures."""
+        if other.commit == self.commit and self.failure is not None and other.failure is None:
+            return False
+        return (self.ended or 0.0) >= (other.ended or 0.0)
+
 
 def read_records(folder: Path) -> list[Record]:
-    """Return the records of a folder: those of lists first, which were measured earlier, then those with a file of their own.
+    """Return the records of a folder, the newest last. Of those that do not say when they ended, which were measured before all
+    others, the records of lists come first, then those with a file of their own.
 
     Raises:
         InputError: a file is damaged, or of another version.
@@ -91,7 +102,7 @@ def read_records(folder: Path) -> list[Record]:
             lists += [_check(path, value) for value in values]
         else:
             single.append(_check(path, values))
-    return lists + single
+    return sorted(lists + single, key=lambda record: record.ended or 0.0)
 
 
 def read_record(path: Path) -> Record:
@@ -117,7 +128,7 @@ def _check(path: Path, value: Any) -> Record:
     check_json(path, value, RecordFile)
     if value["version"] != RECORD_VERSION:
         raise InputError(f"{path} is of version {value['version']}, and this flowsplat reads version {RECORD_VERSION}.")
-    return Record(**{name: value[name] for name in known})
+    return Record(**{name: value[name] for name in known if name in value})
 
 
 @cache

@@ -21,7 +21,7 @@ from flowsplat_benchmarks.results import benchmark, jobs
 from flowsplat_benchmarks.results.cells import ORACLES, Cell, choose_cells, list_cells
 from flowsplat_benchmarks.results.jobs import JOBS, list_missing
 from flowsplat_benchmarks.results.pages import format_pages
-from flowsplat_benchmarks.results.records import Record, read_records, write_record
+from flowsplat_benchmarks.results.records import Record, read_record, read_records, write_record
 from flowsplat_benchmarks.results.rows import STAGES, Records, compare, tell_whole_run
 from tests.flowsplat_benchmarks.ablations.test_training_runs import call, refuse
 
@@ -210,6 +210,32 @@ def test_rows_of_worlds_are_told_in_words():
         "at least half of the objects are not found (140 of 267 are never found)"
         in format_pages(Records([sums(None, 140)]))["objects"]
     )
+
+
+def test_the_newest_record_is_the_one_that_ended_last(tmp_path):
+    for seed, commit, ended in ((0, "new", 2000.0), (1, "old", 1000.0), (2, "older", None)):
+        write_record(tmp_path / f"davis_bear_given_seed{seed}.json", replace(record(30.0 + seed, commit, seed=seed), ended=ended))
+    row = Records(read_records(tmp_path)).row("davis", "bear", "given")
+    assert row.value("ours", "psnr") == 30.0
+    assert row.status() == "new"
+
+
+def test_what_is_kept_with_the_pages_is_replaced_by_newer_figures_alone(tmp_path):
+    kept = tmp_path / "docs" / "records" / "davis_bear_given_seed0.json"
+    kept.parent.mkdir(parents=True)
+    written = tmp_path / "out" / "cells" / kept.name
+    written.parent.mkdir(parents=True)
+    here = replace(record(34.0), ended=2000.0)
+    write_record(kept, here)
+    for found, after in (
+        (replace(record(33.0, "bbbbbbb"), ended=1000.0), here),
+        (replace(record(None, failure="no space"), ended=3000.0), here),
+        (replace(record(35.0, "bbbbbbb"), ended=3000.0), replace(record(35.0, "bbbbbbb"), ended=3000.0)),
+        (failed := replace(record(None, "ccccccc", failure="no space"), ended=4000.0), failed),
+    ):
+        write_record(written, found)
+        benchmark.write_report(tmp_path / "out", tmp_path / "docs")
+        assert read_record(kept) == after
 
 
 def test_motions_compare_in_rows_of_their_own():
