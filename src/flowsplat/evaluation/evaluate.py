@@ -8,11 +8,10 @@ The keys of ``metrics.json``. Every number is finite; what could not be measured
 - ``heldout_frames_refined``: the same figures with the pose of every held-out frame refined on its own image. Never the
   headline; null where that was not asked for. In ``per_image`` they are each image's ``refined``.
 - ``heldout_views``: as ``heldout_frames``, and in ``covisible``, the pixels that the clip saw.
-- ``training_frames``: the same on every training frame in as many as ``choose_training_stride`` says; ``moving`` is the true or
-else the
-  scene's own mask.
+- ``training_frames``: the same on one training frame in ``training_stride``; ``moving`` is the true or else the scene's own mask.
 - ``baselines``: held-out frames by ``copy``, ``blend``, ``flow_interpolation`` and the ``static`` model.
-- ``baselines_views``: held-out views by ``copy``, ``warp_by_depth`` (true depth and cameras) and the ``static`` model.
+- ``baselines_views``: held-out views by ``copy``, ``warp_by_depth`` (true depth and cameras) and the ``static`` model, each with
+  ``moving`` and ``covisible``, too.
 - ``flow_epe``: rendered flow to the next training frame against the truth, ``mean`` and ``median`` in pixels, and both
   in ``moving``; on every pair that truth has.
 - ``prior_flow_epe``: that of the flow prior instead of the rendered flow, on the same pixels: what the model was taught by.
@@ -20,7 +19,11 @@ else the
 - ``depth_abs_rel``: rendered depth against the truth, relative: ``mean`` and ``median`` in ``all``, ``static`` and
   ``moving``.
 - ``measured``: the folder of the model that every figure is of; ``shown``: of the one that videos and exports show (of a run).
-- ``seconds``, ``memory_gib``: what each stage of a run took, and the GiB that it needed at most; ``peak_memory_gib``: all of it.
+- ``gaussians`` (of a run): ``total``, those ``active`` in each frame, their mean ``active_mean``, and of ``objects`` by number.
+- ``objects`` (of a run): a list, an object each: number, frames, distance with its sigma and what tells it, largest step.
+- ``orbit`` (of a run): how far loops round the clip's cameras go; null before videos are rendered.
+- ``seconds``, ``memory_gib``: what each stage of a run took, and the GiB that it needed at most; ``wall_seconds``: the whole run by
+  the clock, ``peak_memory_gib``: the most of all stages.
 - ``lpips_reason``: why ``lpips`` is null.
 - ``per_image``: a list of images with ``kind``, ``name``, ``frame``, their figures and those of their ``baselines``.
 """
