@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from flowsplat.cli.arguments import Out
 from flowsplat.cli.command import Command
 from flowsplat.common.devices import DeviceName
@@ -14,7 +12,7 @@ from flowsplat_benchmarks.models import benchmark as comparing
 def models(
     root: Root, out: Out, models: Names = (), scenes: Names = comparing.SCENES, seeds: Numbers = comparing.SEEDS,
     iterations: int = comparing.ITERATIONS, device: DeviceName = "auto", base: bool = True, report_only: bool = False,
-    docs: Path | None = None, again: bool = False, work: Work = WORK,
+    again: bool = False, work: Work = WORK,
 ) -> None:  # fmt: skip
     """Motion models of several papers on the same clips: same start, priors, losses, steps and seeds; only the motion differs.
 
@@ -34,12 +32,11 @@ def models(
         base: Also run the series, which the others are compared with. Without it, one model, one scene and one seed are one run:
             any number of such commands may be at work on one OUT, and the page shows what is there.
         report_only: Run nothing, and write the tables of what is in OUT.
-        docs: Page of the documentation (docs/models.md) that gets the table of what is best where, too.
         again: Train and measure again what is in OUT already; prepared scenes stay. Leave it out to go on from where that was
             stopped.
         work: How the benchmark is done.
     """
-    comparing.run_models(root, out, models, scenes, seeds, iterations, again, work, device, base, report_only, docs)
+    comparing.run_models(root, out, models, scenes, seeds, iterations, again, work, device, base, report_only)
 
 
 COMMAND = Command(lambda _: models, place=55)

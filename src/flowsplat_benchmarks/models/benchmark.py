@@ -14,7 +14,7 @@ from flowsplat_benchmarks.ablations.training_runs import comparable, list_traini
 from flowsplat_benchmarks.datasets.cases import OWN_SUFFIX, rig_cases
 from flowsplat_benchmarks.models.lineup import LINEUP, choose_entrants
 from flowsplat_benchmarks.models.measure import measure_motion
-from flowsplat_benchmarks.models.report import fill_page, write_report
+from flowsplat_benchmarks.models.report import write_report
 from flowsplat_benchmarks.models.times import MIN_FRAMES, list_heldout
 from flowsplat_benchmarks.resume import BenchmarkOptions, measure_jobs, results_in
 from flowsplat_benchmarks.tables import Result
@@ -43,7 +43,6 @@ def run_models(
     device: DeviceName = "auto",
     with_base: bool = True,
     report_only: bool = False,
-    docs: Path | None = None,
 ) -> Path:
     """Run or resume the models: one JSON a run, ``OUT/models.md`` and ``.html``, and an image of the first table.
 
@@ -58,7 +57,6 @@ def run_models(
         device: to train and measure on.
         with_base: whether the base is always among the models; without it each run can be a call of its own.
         report_only: run nothing, and show what is in OUT.
-        docs: a page of the documentation that gets the table of what is best where, too (``report.fill_page``).
 
     Returns:
         path of the page, which shows all runs in OUT with these settings and steps.
@@ -86,10 +84,7 @@ def run_models(
         found, others = compare()
         return write_report(out, found, failed, others)
 
-    page = measure_jobs(jobs, out, report, "runs", again, options, device=device)
-    if docs is not None:
-        fill_page(docs, compare()[0])
-    return page
+    return measure_jobs(jobs, out, report, "runs", again, options, device=device)
 
 
 def list_scenes(root: Path) -> list[AblationScene]:

@@ -6,8 +6,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from flowsplat.common.errors import InputError
-from flowsplat.common.files import read_bytes, write_text
 from flowsplat.evaluation.scores import mean_of
 from flowsplat.images.charts import bar_chart
 from flowsplat.images.html import NOTHING
@@ -16,7 +14,7 @@ from flowsplat_benchmarks.ablations.training_runs import by_run
 from flowsplat_benchmarks.ablations.verdicts import EVEN_DECIBELS, Effect, Verdict, counts, effect, verdict
 from flowsplat_benchmarks.models.lineup import BASE, LINEUP, Entrant
 from flowsplat_benchmarks.models.times import END, GAP_LENGTHS
-from flowsplat_benchmarks.tables import Chart, Column, Result, Table, format_table, text
+from flowsplat_benchmarks.tables import Chart, Column, Result, Table, text
 
 TITLE = "Motion models"
 REMARKS = (
@@ -28,8 +26,6 @@ REMARKS = (
     f"{EVEN_DECIBELS} dB are no difference. Else a mean up to its spread is not separable; a larger one confirms that the other "
     "model is worse, or contradicts it. One run has no spread.",
 )
-MAX_PAGE_BYTES = 2**20
-"""Of a page of the documentation. Chosen by eye."""
 DEVICES = {"cpu": "the CPU", "cuda": "a CUDA card"}
 EXPECTED = -1
 """The sign of the difference that is claimed of every other model."""
@@ -53,8 +49,6 @@ CRITERIA = (
     (Column("flow inside, px", ("flow", "moving", "mean"), 3), -1), (Column("tracks, %", ("tracks", "moving", "median")), -1),
 )  # fmt: skip
 """By what the best model of a clip is chosen, and whether more (1) or less of it is better."""
-PAGE_MARKS = "<!-- written by flowsplat benchmark models: begin -->", "<!-- written by flowsplat benchmark models: end -->"
-"""Lines of a page of the documentation between which ``fill_page`` writes."""
 
 
 def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str], others: int = 0) -> Path:
@@ -88,23 +82,20 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
     return write_ablation_report(out, "models", TITLE, said, remarks, tables, failed, others)
 
 
-def fill_page(path: Path, results: Sequence[Result]) -> None:
-    """Write the table of what is best where, and how it was measured, between the marks of a page of the documentation.
+def name_best(found: Mapping[str, float], sign: int, digits: int) -> str:
+    """Return the best of some models, by their figures, and how far from the series it is; the series where none is clearly better.
 
-    Raises:
-        InputError: there are no results, or the page has no marks or cannot be written.
+    Args:
+        found: a figure by the name of its model.
+        sign: whether more (1) or less (-1) of it is better.
+        digits: of the difference.
     """
-    begin, end = PAGE_MARKS
-    before, found, rest = read_bytes(path, MAX_PAGE_BYTES).decode("utf-8", "replace").partition(begin)
-    _, ended, after = rest.partition(end)
-    if not (found and ended):
-        raise InputError(f"{path} has no lines {begin} and {end}, between which the table belongs.")
-    if not results:
-        raise InputError("There are no results with these settings and steps to write a table of.")
-    measured = [entrant for entrant in LINEUP if any(result["variant"] == entrant.variant.name for result in results)]
-    table = _choose_best(measured, scene_names(results), results)
-    lines = [begin, "", *format_table(table.header, table.rows), "", table.note, how_measured(results), "", end]
-    write_text(path, before + "\n".join(lines) + after)
+    best = max(found, key=lambda each: sign * found[each], default="")
+    base = found.get(BASE.variant.name)
+    if base is not None and sign > 0 and found[best] - base < EVEN_DECIBELS:
+        best = BASE.variant.name
+    gain = "" if base is None or best == BASE.variant.name else f" ({text(found[best] - base, digits, True)})"
+    return f"{best}{gain}" if best else NOTHING
 
 
 def _choose_best(measured: Sequence[Entrant], scenes: Mapping[str, str], results: Sequence[Result]) -> Table:
@@ -119,12 +110,7 @@ def _choose_best(measured: Sequence[Entrant], scenes: Mapping[str, str], results
                 value = mean_of(runs[run] for run in runs if run[0] == scene)
                 if value is not None:
                     found[entrant.variant.name] = value
-            best = max(found, key=lambda each: sign * found[each], default="")
-            base = found.get(BASE.variant.name)
-            if base is not None and sign > 0 and found[best] - base < EVEN_DECIBELS:
-                best = BASE.variant.name
-            gain = "" if base is None or best == BASE.variant.name else f" ({text(found[best] - base, column.digits, True)})"
-            cells.append(f"{best}{gain}" if best else NOTHING)
+            cells.append(name_best(found, sign, column.digits))
         rows.append((name, *cells))
     is_one = len({result["seed"] for result in results}) < 2
     note = (

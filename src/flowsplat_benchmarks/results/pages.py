@@ -14,6 +14,7 @@ from flowsplat_benchmarks.ablations.verdicts import EVEN_DECIBELS, Effect, verdi
 from flowsplat_benchmarks.datasets.cases import OWN_SUFFIX
 from flowsplat_benchmarks.fields import benchmark as fields_benchmark
 from flowsplat_benchmarks.models.lineup import BASE, LINEUP
+from flowsplat_benchmarks.models.report import CRITERIA, name_best
 from flowsplat_benchmarks.results.cells import (
     ABLATION_SCENES,
     CAPS,
@@ -313,7 +314,37 @@ def _bracket(value: float | None) -> str:
 
 
 def _models(records: Records) -> list[Table]:
-    return [*(_tabulate_models(name, records) for name in MODEL_SCENES), _tabulate_fields(records)]
+    return [_tabulate_best(records), *(_tabulate_models(name, records) for name in MODEL_SCENES), _tabulate_fields(records)]
+
+
+def _tabulate_best(records: Records) -> Table:
+    """Tabulate which model is the best of each scene, among those that were measured at the newest commit of the series."""
+    rows = []
+    for scene in MODEL_SCENES:
+        base = records.row("models", scene, BASE.variant.name)
+        measured = [each for each in base.records if each.failure is None]
+        if not measured:
+            continue
+        of = {
+            name: Row([each for each in records.row("models", scene, name).records if each.commit == measured[-1].commit])
+            for name in (entrant.variant.name for entrant in LINEUP)
+        }
+        cells = []
+        for column, sign in CRITERIA:
+            found = {name: value for name, row in of.items() if (value := row.value(*column.path)) is not None}
+            cells.append(name_best(found, sign, column.digits))
+        rows.append((_title_scene(scene), *cells))
+    note = (
+        f"In brackets: the difference from `series`, which stands where no other is {EVEN_DECIBELS:g} dB better. Means over the "
+        "seeds that the tables below tell; of one seed nobody knows what another changes."
+    )
+    header = ("", *(column.header for column, _ in CRITERIA))
+    return Table("Which is best where", note if rows else add_missing("", ["all"], is_all=True), header, rows)
+
+
+def _title_scene(scene: str) -> str:
+    title = name_of(scene.removesuffix(OWN_SUFFIX)) + (", own priors" if scene.endswith(OWN_SUFFIX) else "")
+    return title[0].upper() + title[1:]
 
 
 def _tabulate_models(scene: str, records: Records) -> Table:
@@ -337,8 +368,7 @@ def _tabulate_models(scene: str, records: Records) -> Table:
     note = (
         f"At {CLIP_SIDE} pixels, given masks." if is_clip else f"480x270, {priors} priors; *aside*: 36 images by held-out cameras."
     )
-    title = name_of(rendered) + (", own priors" if has_own else "")
-    return make_table(title[0].upper() + title[1:], note, rows, columns, "motion", strong=(0,))
+    return make_table(_title_scene(scene), note, rows, columns, "motion", strong=(0,))
 
 
 def _tabulate_fields(records: Records) -> Table:

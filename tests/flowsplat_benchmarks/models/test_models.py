@@ -16,7 +16,7 @@ from flowsplat_benchmarks.ablations.scenes import ablation_scenes
 from flowsplat_benchmarks.models import benchmark
 from flowsplat_benchmarks.models.lineup import LINEUP, choose_entrants
 from flowsplat_benchmarks.models.measure import measure_motion
-from flowsplat_benchmarks.models.report import PAGE_MARKS, fill_page, write_report
+from flowsplat_benchmarks.models.report import write_report
 from flowsplat_benchmarks.models.times import END_LENGTH, GAP_LENGTHS, HELDOUT_SHARE, MIN_FRAMES, list_heldout, place_gaps
 from tests.flowsplat_benchmarks.ablations.test_training_runs import call, refuse
 from tests.output.small import OTHERS, small_model
@@ -104,26 +104,6 @@ def test_what_is_best_where(tmp_path):
     assert workshop[0] == "series", "less than what is no difference"
     assert bear[header.index("tracks, %")] == "marbles (-1.00)", "less is better"
     assert bear[header.index("from aside")] == "–"
-
-    page = tmp_path / "page.md"
-    page.write_text("before\n" + "\nold\n".join(PAGE_MARKS) + "\nafter\n")
-    for _ in range(2):
-        fill_page(page, found)
-    text = page.read_text()
-    assert text.startswith("before\n")
-    assert text.endswith("\nafter\n")
-    assert text.count("bases (+1.00)") >= 1
-    assert text.count(PAGE_MARKS[0]) == 1
-    assert "old" not in text
-    assert "Of one seed;" in text
-    assert "over seeds" not in text
-    fill_page(page, [*found, result("series", 30.5, seed=1)])
-    assert "By means over seeds;" in page.read_text()
-    with pytest.raises(InputError, match="no results"):
-        fill_page(page, [])
-    page.write_text("nothing")
-    with pytest.raises(InputError, match="has no lines"):
-        fill_page(page, found)
 
 
 def test_without_runs_the_page_says_so(tmp_path):
