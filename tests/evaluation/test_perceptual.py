@@ -1,4 +1,6 @@
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from types import ModuleType, SimpleNamespace
 
 import numpy as np
@@ -30,6 +32,7 @@ class FakeNetwork:
         assert min(a.min(), b.min()) >= 0
         assert max(a.max(), b.max()) <= 1
         self.kept += 1
+        time.sleep(0.02)  # for other threads to come between
         assert self.kept == 1, "values of earlier images pile up"
         return (a - b).abs().mean()
 
@@ -85,3 +88,15 @@ def test_with_weights_images_are_clipped_and_measured_one_by_one(monkeypatch, tm
     assert metric(white * 1.5, white) == 0
     assert metric(white, white * 0.75) == pytest.approx(0.25)
     assert metric(white[:63], white[:63]) is None
+
+
+def test_threads_measure_images_one_after_the_other(monkeypatch, tmp_path):
+    fake_torchvision(monkeypatch, tmp_path)
+    (tmp_path / "checkpoints").mkdir()
+    (tmp_path / "checkpoints" / "alexnet-test.pth").write_bytes(b"weights")
+    monkeypatch.setattr("torchmetrics.image.lpip.LearnedPerceptualImagePatchSimilarity", FakeNetwork)
+    metric, _ = lpips_metric()
+    white, shares = np.ones((64, 70, 3), np.float32), np.linspace(0, 1, 8).tolist()
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda share: metric(white, white * np.float32(share)), shares))
+    np.testing.assert_allclose(found, 1 - np.array(shares), atol=1e-6)

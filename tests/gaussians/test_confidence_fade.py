@@ -49,15 +49,29 @@ def test_what_one_frame_has_seen_may_be_looked_at_from_everywhere():
 def test_opacities_fall_between_the_reach_and_twice_that():
     gaussians = model_that_saw(9).gaussians
     means, before = gaussians.params["means"].double(), torch.sigmoid(gaussians.params["logit_opacities"]).double()
-    own, viewer = np.array([0.0, 0.0, -1.0]), np.array([0.4, 0.1, -0.8])
+    own, viewer = np.array([0.0, 0.0, -1.0]), np.array([0.7, 0.1, -0.8])
     assert torch.equal(apply_confidence_fade(gaussians, own, own).params["logit_opacities"], gaussians.params["logit_opacities"])
     after = torch.sigmoid(apply_confidence_fade(gaussians, viewer, own).params["logit_opacities"]).double()
-    for k, mean in enumerate(means.numpy()):
+    dynamic = gaussians.dynamic
+    assert torch.equal(after[dynamic], before[dynamic]), "what moves is there in its own frames"
+    for k, mean in enumerate(means[~dynamic].numpy()):
         rays = [(center - mean) / np.linalg.norm(center - mean) for center in (viewer, own)]
         kept = np.clip(2 - np.linalg.norm(rays[0] - rays[1]) / (MAX_SPREADS * SPREADS[k % len(SPREADS)]), 0, 1)
         assert float(after[k]) == pytest.approx(float(before[k]) * kept, abs=2e-6)
     assert (after < 1e-6).any()
     assert (after == before).any()
+
+
+def test_what_moves_stays_however_short_it_is_there():
+    """At the ends of the clip it is there in fewer frames than are asked for."""
+    model, cameras, times = small_model(), small_cameras(small_model()), small_times()
+    model.gaussians.params["log_lambdas"][model.gaussians.dynamic] = 7.0
+    known = with_seen(model, cameras, times).gaussians
+    short = known.dynamic & (known.seen[:, 0] < MIN_FRAMES)
+    assert short.any()
+    for gaussians in (known, replace(known, seen=keep_all_seen(known.seen))):
+        faded = apply_confidence_fade(gaussians, np.array([0.8, 0.3, -0.5]), np.array([0.0, 0.0, -1.0]))
+        assert torch.equal(faded.params["logit_opacities"][short], known.params["logit_opacities"][short])
 
 
 def test_without_knowing_all_stay_and_a_scene_refuses():

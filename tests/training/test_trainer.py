@@ -24,6 +24,7 @@ from flowsplat.training.strategies.default import DefaultStrategy
 from flowsplat.training.trainer import Trainer
 from flowsplat.training.weight_averaging import AVERAGE_STRIDE, TailAverage
 from flowsplat_benchmarks.ablations.variants import change_settings
+from tests.output.small import small_model
 from tests.training.handful import HEIGHT, WIDTH, a_few, seen, tiny
 
 
@@ -392,3 +393,16 @@ def test_what_is_burnt_in_has_no_loss_and_no_gradient(tmp_path):
         color[name], learned[name] = training.history[-1]["color"], float((after - a_few(config).params["sh"]).abs().max())
     assert color["all"] < 1e-6 < color["half"] < color["none"]  # to rounding
     assert learned["all"] == 0 < learned["half"]
+
+
+def test_brightness_that_would_be_infinite_is_refused(tmp_path):
+    """Each number is one that may stand there, but not all of them together."""
+    model = small_model()
+    for name, gain in (("log_gains", 9.0), ("shadow_free", 9.0)):
+        gaussians = model.gaussians
+        spoiled = {**gaussians.params, "log_gains": gaussians.params["log_gains"].clone()}
+        shadow_free = torch.zeros(len(gaussians), 1 + gaussians.config.gains)
+        (spoiled["log_gains"] if name == "log_gains" else shadow_free)[3] = gain
+        save_model(tmp_path, replace(model, gaussians=replace(gaussians, params=spoiled, shadow_free=shadow_free)))
+        with pytest.raises(InputError, match="log_gains add up" if name == "log_gains" else "without shadows"):
+            load_model(tmp_path)

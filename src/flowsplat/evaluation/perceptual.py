@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +15,7 @@ from flowsplat.common.errors import describe_install, first_line
 PerceptualMetric = Callable[[np.ndarray, np.ndarray], float | None]
 """(image, other image), both float RGB [H, W, 3], clipped to [0, 1], to a distance: 0 = they look the same.
 
-None for images with a side below ``MIN_SIDE``, which the network would pool to nothing.
+None for images with a side below ``MIN_SIDE``, which the network would pool to nothing. Several threads may call it at once.
 """
 
 MIN_SIDE = 64
@@ -47,12 +48,14 @@ def lpips_metric() -> tuple[PerceptualMetric | None, str]:
     except Exception as error:  # a truncated file raises whatever the unpickler stumbles over
         return None, f"LPIPS could not read the AlexNet weights {weights.name}, delete them: {first_line(error)}."
 
+    lock = threading.Lock()  # the network adds up what it was asked until it is reset
+
     def distance(a: np.ndarray, b: np.ndarray) -> float | None:
         if min(a.shape[:2]) < MIN_SIDE:
             return None
-        with torch.no_grad():
+        with lock, torch.no_grad():
             value = float(network(_batch(a), _batch(b)))
-        network.reset()
+            network.reset()
         return value
 
     return distance, ""

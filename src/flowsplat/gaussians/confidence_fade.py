@@ -1,4 +1,5 @@
-"""Gaussians fade where they would be a guess: seen by too few frames, or from too far beside the directions of those that did.
+"""Gaussians at rest fade where they would be a guess: seen by too few frames, or from too far beside the directions of those that
+did. What moves stays: it is there in its own frames, be they few, and no others could have seen it.
 
 How much that is, and why, is told in ``visibility``, which finds what the clip has seen.
 """
@@ -45,8 +46,8 @@ def keep_all_seen(seen: Tensor) -> Tensor:
 
 
 def apply_confidence_fade(gaussians: Gaussians4D, viewer: np.ndarray, own: np.ndarray) -> Gaussians4D:
-    """Return the Gaussians as far as the clip tells what they look like: beyond its ``reach`` each fades, and is gone at twice
-    that.
+    """Return the Gaussians as far as the clip tells what they look like: beyond its ``reach`` each of the background fades, and is
+    gone at twice that.
 
     Args:
         gaussians: with ``seen``; without, all stay.
@@ -58,5 +59,6 @@ def apply_confidence_fade(gaussians: Gaussians4D, viewer: np.ndarray, own: np.nd
     means, logits = gaussians.params["means"], gaussians.params["logit_opacities"]
     towards = [torch.nn.functional.normalize(torch.as_tensor(center).to(means) - means, dim=1) for center in (viewer, own)]
     kept = (2 - (towards[0] - towards[1]).norm(dim=1) / reach(gaussians.seen)).clamp(0, 1)
+    kept = torch.where(gaussians.dynamic, torch.ones_like(kept), kept)
     opacities = (torch.sigmoid(logits) * kept).clamp(_MIN_OPACITY, 1 - _MIN_OPACITY)
     return replace(gaussians, params={**gaussians.params, "logit_opacities": torch.where(kept < 1, torch.logit(opacities), logits)})

@@ -34,6 +34,9 @@ _SHARED_PREFIX = "shared."
 """Before the names of parameters that Gaussians share, which are no rows."""
 _MAX_LOG = 80.0
 """Logarithm of what still is a float32."""
+_MAX_LOG_GAIN = 40.0
+"""Logarithm of a factor of brightness, at most: times colors of ``MAX_COORDINATE`` it still is a float32. Trained ones stay
+below 6."""
 
 
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], values: Mapping[str, Any]) -> None:
@@ -200,6 +203,8 @@ def check_model(path: Path, gaussians: Gaussians4D) -> None:
         if values.shape != (count, *shape) or values.dtype != torch.float32:
             raise InputError(f"{path} is damaged: {name} is {values.dtype} {tuple(values.shape)}, expected {(count, *shape)}.")
         _check_finite(path, name, values, _most(name))
+    if not bool((gaussians.params["log_gains"].abs().sum(1) <= _MAX_LOG_GAIN).all()):  # cosines may all be 1
+        raise InputError(f"{path} is damaged: log_gains add up to more than {_MAX_LOG_GAIN:g}.")
     for name, values in gaussians.shared.items():  # their shapes are those of the model, or they were not Gaussians
         if values.dtype != torch.float32:
             raise InputError(f"{path} is damaged: {name} is {values.dtype}, expected torch.float32.")
@@ -210,8 +215,10 @@ def check_model(path: Path, gaussians: Gaussians4D) -> None:
     if seen is not None and (seen.dtype != torch.float32 or not bool(((seen >= 0) & (seen < torch.inf)).all())):
         raise InputError(f"{path} is damaged: what the clip has seen of a Gaussian is no number, or negative.")
     shadow_free = gaussians.shadow_free
-    if shadow_free is not None and (shadow_free.dtype != torch.float32 or not bool((shadow_free.abs() <= _MAX_LOG).all())):
-        raise InputError(f"{path} is damaged: how bright a Gaussian is without shadows is no number, or beyond {_MAX_LOG:g}.")
+    if shadow_free is not None and (
+        shadow_free.dtype != torch.float32 or not bool((shadow_free.abs().sum(1) <= _MAX_LOG_GAIN).all())
+    ):
+        raise InputError(f"{path} is damaged: how bright a Gaussian is without shadows is no number, or beyond {_MAX_LOG_GAIN:g}.")
 
 
 def is_storable(name: str, values: np.ndarray) -> np.ndarray:

@@ -29,6 +29,8 @@ from flowsplat.output.export.formats.spz import write_spz
 from flowsplat.output.export.importance import choose_most_important
 from flowsplat.output.export.shots import export_sequence
 from flowsplat.output.export.still import rotate_harmonics, still_at
+from flowsplat.output.page_reader import read_page
+from flowsplat.output.player.pack import draw_page
 from flowsplat.priors.given.colmap import read_colmap
 from flowsplat.scenes import Scene
 from flowsplat.splatting import rasterize
@@ -462,3 +464,54 @@ def test_a_scene_with_hardly_anything_that_moves_can_be_exported(tmp_path, run, 
     model = SceneModel(small_gaussians(OURS, resting=resting, moving=moving), Similarity(), FIRST, LAST)
     for to in EXPORTERS.names():
         export_scene(model, Scene(run / "scene"), to, tmp_path / f"x.{to}", DEFAULT)
+
+
+@pytest.mark.parametrize("to", [name for name in EXPORTERS.names() if EXPORTERS[name].has_gaussians])
+def test_a_file_that_would_show_nothing_is_refused(tmp_path, run, to):
+    model, scene = small_model(resting=0), Scene(run / "scene")
+    params, path = model.gaussians.params, tmp_path / f"x.{to}"
+    params["times"][:], params["log_lambdas"][:] = 0.1, 8.0
+    if EXPORTERS[to].is_of_one_time:
+        with pytest.raises(InputError, match=r"No Gaussian is there at 1\.5 s: give another --time"):
+            export_scene(model, scene, to, path, DEFAULT)
+    params["times"][:] = 9
+    with pytest.raises(InputError, match="at any time of the clip"):
+        export_scene(model, scene, to, path, DEFAULT)
+    assert not path.exists()
+
+
+@pytest.mark.parametrize("to", ["html", "spz", "4dgs"])
+def test_what_is_far_away_costs_the_others_nothing(tmp_path, run, capsys, to):
+    """One that rests and one that moves, both far beyond what the scene spans."""
+    model, scene, path = small_model(), Scene(run / "scene"), tmp_path / f"x.{to}"
+    far = replace(model, gaussians=model.gaussians.select(torch.cat([torch.arange(len(model.gaussians)), torch.tensor([7, 407])])))
+    far.gaussians.params["means"][-2:] = torch.tensor([3e8, -2e8, -1e8])
+    plain = export_scene(model, scene, to, tmp_path / f"plain.{to}", DEFAULT)
+    capsys.readouterr()
+    export_scene(far, scene, to, path, DEFAULT)
+    told = capsys.readouterr().err
+    assert told.count(f"{to} cannot hold Gaussians beyond 1,000 times the median depth: 1 at rest are shown nearer") == 1
+    assert "1 that move are left out" in told
+    assert path.stat().st_size < 1.1 * plain.stat().st_size
+    camera, seconds = small_cameras(model)[4], small_times()[4]
+    images = [shown_by(each, model, camera, seconds) for each in (path, plain)]
+    assert psnr(*images) > 45
+
+
+def shown_by(path: Path, model: SceneModel, camera: Camera, seconds: float) -> np.ndarray:
+    """What the file's own reader draws."""
+    if path.suffix == ".html":
+        return draw_page(read_page(path), model.similarity.camera(camera), seconds).numpy()
+    if path.suffix == ".spz":
+        return drawn_from_spz(path, flipped(camera), NEAR_PLANE / model.similarity.scale)
+    fourdgs = pytest.importorskip("fourdgs", reason="no reader of 4dgs is installed: pip install fourdgs")
+    scene = fourdgs.read(path)
+    state, found = scene.state_at(seconds - FIRST), scene.gaussians
+    rows = state["indices"]
+    sh = torch.from_numpy((found.colors[rows, None, :3].astype(np.float64) - 0.5) / C0)
+    return drawn(
+        torch.from_numpy(state["centers"]), torch.from_numpy(state["orientations"]).roll(1, 1),
+        torch.from_numpy(found.scales[rows].astype(np.float64)).log(),
+        torch.logit(torch.from_numpy(state["opacity"]).double().clamp(1e-6, 1 - 1e-6)), sh, flipped(camera),
+        NEAR_PLANE / model.similarity.scale,
+    )  # fmt: skip

@@ -391,11 +391,19 @@ def test_the_estimate_is_near_the_size(tmp_path, config):
     assert 0.5 < estimate / path.stat().st_size < 2
 
 
-def test_a_scene_of_which_nothing_is_shown_is_an_empty_file(tmp_path):
-    model = flat(small_model(STEADY, resting=0))
-    model.gaussians.params["times"][:] = 9
-    path = exported(tmp_path, model)
-    assert fourdgs.read(path).gaussians.count == 0
+@pytest.mark.parametrize("clip_lengths", [3e4, 1e6])
+def test_what_is_most_present_long_before_the_clip_is_there(tmp_path, clip_lengths):
+    """So wide that its presence in the clip is that at one deviation from the middle of it."""
+    model = flat(small_model(STEADY, moving=2))
+    params, row = model.gaussians.params, 401
+    params["times"][row], params["log_lambdas"][row] = -clip_lengths, -2 * np.log(clip_lengths)
+    for name in ("mean_poly", "mean_cos", "mean_sin", "quat_poly"):
+        params[name][row] = 0
+    scene = fourdgs.read(exported(tmp_path, model))
+    for seconds in BETWEEN:
+        still, state = still_at(model, seconds, flip_axes=True), scene.state_at(seconds - FIRST)
+        at = np.abs(state["centers"] - still.means[-1].numpy()).sum(1).argmin()
+        assert float(state["opacity"][at]) == pytest.approx(float(still.opacities[-1]), abs=0.01)
 
 
 def test_the_command_writes_it(tmp_path, capsys):

@@ -107,6 +107,24 @@ def test_a_model_that_is_being_replaced_is_left_for_later(tmp_path):
     assert source.loaded.number == 1
 
 
+def test_a_model_that_has_no_room_changes_nothing(tmp_path, monkeypatch):
+    folder = tiny_run(tmp_path / "out")
+    source = Source(folder)
+    loaded, scene = source.loaded, source.scene
+    (folder / "model" / "model.json").touch()
+
+    def ready(self, model):
+        raise RuntimeError("out of memory")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Source, "_ready", ready)
+        with pytest.raises(RuntimeError, match="out of memory"):
+            source.refresh()
+    assert source.loaded is loaded
+    assert source.scene is scene
+    assert source.refresh(), "it is looked for again"
+
+
 def test_parts_and_frames(run_folder):
     source = Source(run_folder)
     loaded = source.loaded

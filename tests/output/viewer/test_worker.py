@@ -185,3 +185,32 @@ def test_what_fails_for_one_client_does_not_stop_the_others(worker, run_folder, 
     client(worker, 2, run_folder, good)
     good.more(5)
     assert not [job for job, *_ in bad if job.wish.size == (10, 10)]
+
+
+def test_trouble_with_a_newer_model_is_told_once_and_all_goes_on(run_folder, monkeypatch):
+    source, images, said, looks = Source(run_folder), Events(), Events(), Events()
+
+    def refresh() -> bool:
+        looks.append(True)
+        if len(looks) == 1:
+            return True
+        raise OSError("no such model")
+
+    def reloaded() -> None:
+        raise RuntimeError("no such panel")
+
+    monkeypatch.setattr(source, "refresh", refresh)
+    monkeypatch.setattr(module, "report", said.append)
+    monkeypatch.setattr(module, "_MODEL_CHECK_INTERVAL", 0.0)
+    worker = Worker(source, reloaded)
+    client(worker, 1, run_folder, images)
+    worker.start()
+    try:
+        said.wait(lambda lines: any("no such model" in line for line in lines))
+        images.more(3)
+        looks.more(3)
+        images.more(3)
+    finally:
+        worker.stop()
+    for what in ("no such panel", "no such model"):
+        assert len([line for line in said if what in line]) == 1

@@ -20,6 +20,8 @@ from flowsplat.output.export.formats import EXPORTERS, Write
 from flowsplat.output.export.importance import choose_most_important
 from flowsplat.output.export.options import ExportOptions
 from flowsplat.output.export.still import middle_or
+from flowsplat.output.export.strays import bring_strays_near
+from flowsplat.output.player.chebyshev import find_seen_in_clip
 from flowsplat.scenes import Scene
 
 SIZE_MARGIN = 0.98
@@ -62,18 +64,22 @@ def export_scene(
     if path.is_file() and exporter.is_folder:
         raise InputError(f"{path} is a file, {to} needs a folder: give another one with -o.")
     box = None if options.crop is None else parse_crop(options.crop)
-    if box is not None:
-        crop(model, box)  # before anything is fitted or written it is said that nothing is left
+    # Before anything is fitted or written it is said that nothing is left.
+    _check_shown(model if box is None else crop(model, box), to, options)
     make_folder(path if exporter.is_folder else path.parent)
     if exporter.has_gaussians and not exporter.keeps_slopes and model.gaussians.has_slopes:
         model = _without_slopes(model, scene, to, options, one_color)
     write = exporter.write if exporter.begin is None else exporter.begin(model, scene)
     if box is not None:
         model = crop(model, box)
+    if exporter.rounds:
+        model = bring_strays_near(model, to)
+        _check_shown(model, to, options)
     if options.max_gaussians is not None and exporter.has_gaussians:
         model = choose_most_important(model, _list_views(scene), options.max_gaussians)
     if options.size_mb is not None:
         model = _fit_size(model, scene, write, path.name, options, 1e6 * options.size_mb)
+    _check_shown(model, to, options)
     what = f"{len(model.gaussians):,} Gaussians" if exporter.has_gaussians else f"{scene.num_frames} cameras"
     report(f"{what} as {to}: about {_readable(exporter.estimate_bytes(model, scene, options))} in {path}")
     write(path, model, scene, options)
@@ -149,6 +155,22 @@ def _check(model: SceneModel, to: str, options: ExportOptions) -> None:
         raise InputError(f"--no-sound is for {can}: {to} never holds sound.")
     if not len(model.gaussians):
         raise InputError("The scene has no Gaussians: there is nothing to export.")
+
+
+def _check_shown(model: SceneModel, to: str, options: ExportOptions) -> None:
+    """Refuse to write a file of which a reader would show nothing.
+
+    Raises:
+        InputError: no Gaussian that is left is there at the time, or at any where the format is not of one.
+    """
+    exporter = EXPORTERS[to]
+    if not exporter.has_gaussians:
+        return
+    if not bool(find_seen_in_clip(model.gaussians).any()):
+        raise InputError("No Gaussian that is left is there at any time of the clip: there is nothing to export.")
+    seconds = middle_or(model, options.time)
+    if exporter.is_of_one_time and not model.active_count(seconds):
+        raise InputError(f"No Gaussian is there at {seconds:g} s: give another --time.")
 
 
 def _without_slopes(

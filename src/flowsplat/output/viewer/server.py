@@ -77,10 +77,13 @@ class Viewer:
         with self._lock:
             panels = list(self._panels.values())
         for panel in panels:
-            if panel.scene is self.source.scene:
-                panel.reload()
-            elif self._panels.get(panel.client.client_id) is panel:  # Others have left meanwhile.
-                self._begin_anew(panel)
+            try:
+                if panel.scene is self.source.scene:
+                    panel.reload()
+                elif self._panels.get(panel.client.client_id) is panel:  # Others have left meanwhile.
+                    self._begin_anew(panel)
+            except Exception as error:  # One client's bad luck must not keep the newer model from the others.
+                report(f"A client could not be told of the newer model: {type(error).__name__}: {error}")
 
 
 def check_serving(options: ViewOptions) -> None:

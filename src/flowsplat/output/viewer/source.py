@@ -141,13 +141,13 @@ class Source:
             model, state = read(scene)
         except InputError:
             return False  # It is being replaced at this moment: the next call finds it whole.
+        loaded = Loaded(self._ready(model), state, self.loaded.number + 1)  # may raise, and all stays as it was
         self.__dict__.pop("reach", None)  # videos may have been rendered meanwhile
         if scene is not self.scene:
             self.scene = scene
             for name in _OF_SCENE:
                 self.__dict__.pop(name, None)
-        self._stamp = stamp
-        self.loaded = Loaded(self._ready(model), state, self.loaded.number + 1)
+        self._stamp, self.loaded = stamp, loaded
         return True
 
     def _ready(self, model: SceneModel) -> SceneModel:

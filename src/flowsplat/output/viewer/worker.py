@@ -40,7 +40,7 @@ class Worker:
         self._tasks: deque[tuple[int, Iterator[None]]] = deque()
         self._condition = threading.Condition(threading.RLock())
         self._stopping = False
-        self._watched = float("-inf")
+        self._watched, self._trouble = float("-inf"), ""
         self._thread = threading.Thread(target=self._run, name="flowsplat viewer", daemon=True)
 
     def start(self) -> None:
@@ -106,11 +106,17 @@ class Worker:
         if now - self._watched < _MODEL_CHECK_INTERVAL:
             return
         self._watched = now
-        if self._source.refresh():
-            if self._source.scene is not self._scene:
-                self._scene, self._browser = self._source.scene, BrowserFrame(self._source.scene.similarity)
-            report(f"Showing a newer model: {self._source.loaded.state}.")
-            self._reloaded()
+        try:
+            if self._source.refresh():
+                if self._source.scene is not self._scene:
+                    self._scene, self._browser = self._source.scene, BrowserFrame(self._source.scene.similarity)
+                report(f"Showing a newer model: {self._source.loaded.state}.")
+                self._reloaded()
+        except Exception as error:  # Without this thread no client would get another image, of what was there before either.
+            trouble = f"{type(error).__name__}: {error}"
+            if trouble != self._trouble:  # which the next look may meet again
+                report(f"A newer model could not be taken up: {trouble}")
+            self._trouble = trouble
 
     def _next_job(self) -> tuple[int, Session, SendImage, ImageJob] | None:
         """Return the first client, in turn,  that needs an image."""

@@ -30,6 +30,7 @@ class Exporter:
         is_of_one_time: it shows the scene at one time, and takes ``time``.
         can_flip_axes: it takes ``flip_axes``.
         has_gaussians: it takes ``max_gaussians`` and, as one file, ``size_mb``; otherwise it has the cameras alone.
+        rounds: it stores coordinates as whole numbers, of which there are only so many: what is far away is brought near before.
         holds_sound: the clip's sound may be in it; it takes ``sound``.
         keeps_slopes: brightness may vary inside its Gaussians; otherwise each has one color, and what is lost is told.
         reader: dotted name of what in flowsplat reads it back.
@@ -46,6 +47,7 @@ class Exporter:
     can_flip_axes: bool = False
     has_gaussians: bool = True
     keeps_slopes: bool = False
+    rounds: bool = False
     holds_sound: bool = False
     reader: str | None = None
     note: str | None = None

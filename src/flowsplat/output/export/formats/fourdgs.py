@@ -30,4 +30,5 @@ def estimate_bytes(model: SceneModel, scene: Scene, options: ExportOptions) -> i
 
 
 SENTENCE = "Avala AI's .4dgs: the whole scene, its curves as straight pieces; objects, camera and sound."
-EXPORTERS.add(Entry("4dgs", "4DGS", SENTENCE, Exporter(write, estimate_bytes, "scene.4dgs", holds_sound=True), place=57))
+FOURDGS = Exporter(write, estimate_bytes, "scene.4dgs", rounds=True, holds_sound=True)
+EXPORTERS.add(Entry("4dgs", "4DGS", SENTENCE, FOURDGS, place=57))

@@ -55,7 +55,7 @@ EXPORTERS.add(
         "html",
         "Page",
         "A page that plays the scene in any browser.",
-        Exporter(write, estimate_bytes, "player.html", keeps_slopes=True, note=_NOTE, embed=embed, begin=begin),
+        Exporter(write, estimate_bytes, "player.html", keeps_slopes=True, rounds=True, note=_NOTE, embed=embed, begin=begin),
         place=10,
     )
 )

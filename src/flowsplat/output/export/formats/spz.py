@@ -108,4 +108,5 @@ def _smallest_three(quats: np.ndarray) -> np.ndarray:
 
 
 SENTENCE = "Niantic's: rounded and compressed, y up and z backward, at one time."
-EXPORTERS.add(Entry("spz", "SPZ", SENTENCE, Exporter(write, estimate_bytes, "scene.spz", is_of_one_time=True), place=50))
+SPZ = Exporter(write, estimate_bytes, "scene.spz", is_of_one_time=True, rounds=True)
+EXPORTERS.add(Entry("spz", "SPZ", SENTENCE, SPZ, place=50))

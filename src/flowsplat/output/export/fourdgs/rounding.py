@@ -47,6 +47,9 @@ _TIME_SHARE, _TIME_CLASSES = 0.05, (-10, 0)
 """Of the format: the share of a deviation that a step of its time is at most, and powers of two by which it is finer."""
 HARMONICS_RANGE = 4.0
 """Of the format: harmonics of degree 1 and more are bytes between minus and plus this."""
+MAX_CENTER_DISTANCE = 1000.0
+"""Clip lengths between a piece and its time of most presence. What is further off is brought there, its deviation in proportion:
+in the middle of the piece it is as present as before, elsewhere to a hundredth."""
 _BASE_MARGIN = 0.02
 """From 0 and 1, for constant parts of colors: rounded harmonics are made up for there. Chosen by eye."""
 _REST = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
@@ -138,13 +141,17 @@ def round_pieces(gaussians: Gaussians4D, pieces: Pieces, views: ClipViews, frame
 
     sigmas = pieces.sigmas.numpy() * frame.seconds
     never = np.isinf(sigmas)
+    centers = pieces.centers.numpy() * frame.seconds
+    far = min(MAX_CENTER_DISTANCE * frame.seconds, MAX_BIN * _STEP_TIME / 2)
+    nearer = np.minimum(far / np.maximum(np.abs(centers - middle), 1e-30), 1.0)
+    centers, sigmas = np.where(nearer < 1, middle + nearer * (centers - middle), centers), sigmas * nearer
     deviation = _round(np.log(np.where(never, 1.0, sigmas)), _STEP_DEVIATION)
     sigmas = np.exp(deviation * _STEP_DEVIATION)
     step_time = _STEP_TIME * 2.0 ** np.clip(
         np.floor(np.log2(np.where(never, 1.0, np.minimum(1.0, _TIME_SHARE * sigmas / _STEP_TIME)))), *_TIME_CLASSES
     )
     moves = (velocities != 0).any(1)
-    center_time = _round(np.where(never, np.where(moves, middle, 0.0), pieces.centers.numpy() * frame.seconds), step_time)
+    center_time = _round(np.where(never, np.where(moves, middle, 0.0), centers), step_time)
     center_times = (center_time * step_time).astype(np.float32).astype(np.float64)
 
     windows, window = _list_windows(pieces, views.steps, frame)
