@@ -559,6 +559,16 @@ def test_what_is_wrong_with_the_videos_is_said_first(tiny_scene, tmp_path, monke
     assert not (tmp_path / "out").exists()
 
 
+def test_what_is_wrong_with_the_videos_of_a_prepared_run_is_said_before_the_training(tiny_scene, tmp_path, monkeypatch):
+    out, config = tmp_path / "out", small_config()
+    prepare(tiny_scene, out, config)
+    monkeypatch.setattr(Trainer, "run", lambda self: pytest.fail("trained before the videos were looked at"))
+    for wrong in ({"camera_file": tmp_path / "nope.json"}, {"bullet_time": 99.0}, {"width": 1}):
+        with pytest.raises(InputError):
+            run(tiny_scene, out, replace(config, render=replace(config.render, **wrong)))
+        assert RunFolder(out).config == config
+
+
 def test_settings_that_are_no_numbers_are_named(tiny_scene, tmp_path):
     config = small_config()
     cameras = replace(config.priors.cameras, focal=float("inf"))

@@ -29,7 +29,7 @@ from flowsplat.output.shots_report import ShotOnPage, write_shots_report
 from flowsplat.output.videos import list_rendered, read_posters
 from flowsplat.output.videos.shown import choose_video
 from flowsplat.pipeline.config import RunConfig, check
-from flowsplat.pipeline.folder import stage_key
+from flowsplat.pipeline.preparing import identify
 from flowsplat.pipeline.shot_list import VERSION, Place, Shot, ShotList, ShotsFile, read_shots, write_places
 from flowsplat.pipeline.shot_places import check_places_of_shot, check_shots, names_frames, take_places
 from flowsplat.pipeline.speed import STAGES, Speed, estimate_seconds_of_clip
@@ -38,7 +38,7 @@ from flowsplat.priors.cameras.same_place import find_same_place
 from flowsplat.priors.cameras.shots import MIN_SHOT_FRAMES, Piece, Transition, find_pieces, find_transitions
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import MAX_FRAMES, Clip, InputOptions
-from flowsplat.scenes.ingest import fingerprint, kind_of_input, open_clip
+from flowsplat.scenes.ingest import kind_of_input, open_clip
 
 MAX_LOOKED_FRAMES = 4000
 """Frames of a clip that are looked at for cuts, at most: they are held, small and gray. Of longer ones one in so many. A round
@@ -71,7 +71,7 @@ def run_shots(source: Path, out: Path, config: RunConfig, shots: Shots = "split"
         return None
     if kind == "scene":
         raise InputError(f"{out} holds the shots of a clip, not of a prepared scene: choose another folder with -o.")
-    identity = stage_key(kind, fingerprint(source, config.input))
+    identity = identify(source, config)
     new: FoundShots | None = None
     if held is None:
         if out.exists() and any(out.iterdir()):
