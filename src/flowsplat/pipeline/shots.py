@@ -29,11 +29,12 @@ from flowsplat.output.shots_report import ShotOnPage, write_shots_report
 from flowsplat.output.videos import list_rendered, read_posters
 from flowsplat.output.videos.shown import choose_video
 from flowsplat.pipeline.config import RunConfig, check
+from flowsplat.pipeline.folder import RunFolder
 from flowsplat.pipeline.preparing import identify
 from flowsplat.pipeline.shot_list import VERSION, Place, Shot, ShotList, ShotsFile, read_shots, write_places
 from flowsplat.pipeline.shot_places import check_places_of_shot, check_shots, names_frames, take_places
 from flowsplat.pipeline.speed import STAGES, Speed, estimate_seconds_of_clip
-from flowsplat.pipeline.stages import load, read_metrics, run
+from flowsplat.pipeline.stages import find_metrics, load, run
 from flowsplat.priors.cameras.same_place import find_same_place
 from flowsplat.priors.cameras.shots import MIN_SHOT_FRAMES, Piece, Transition, find_pieces, find_transitions
 from flowsplat.scenes import Scene
@@ -142,7 +143,7 @@ def _write_report(out: Path, source: Path, listed: ShotList) -> None:
     pages = []
     for shot in listed.shots:
         paths = RunPaths(shot.path)
-        measured = read_metrics(paths.metrics_path) if paths.metrics_path.exists() else None
+        measured = find_metrics(RunFolder(shot.path)) if paths.record_path.exists() else None
         videos = list_rendered(paths.renders_path)
         video = choose_video(videos)
         posters = {} if video is None else read_posters(paths.renders_path, {video.shown: videos[video.shown]})
