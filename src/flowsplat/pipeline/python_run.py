@@ -76,7 +76,7 @@ class Run:
         paths, facts = RunPaths(self.folder), dict[str, str]()
         if (paths.scene_path / "scene.json").exists():
             facts["clip"] = f"{self.scene.num_frames} frames of {self.scene.width}x{self.scene.height}"
-        metrics = stages.find_metrics(RunFolder(self.folder))
+        metrics = stages.find_metrics(RunFolder(self.folder)) if paths.metrics_path.exists() else None
         if metrics is None:
             return {**facts, "figures": "not measured yet"}
         for name, path in (("held-out frames", ("heldout_frames", "psnr")), ("held-out views", ("heldout_views", "psnr"))):
