@@ -52,7 +52,8 @@ def run_shots(source: Path, out: Path, config: RunConfig, shots: Shots = "split"
     """Run every shot of a clip with cuts, as ``run`` does a clip. Called again, it continues.
 
     Cuts are looked for in videos and folders of images, unless ``out`` holds a run already or the settings name frames of the whole
-    clip (held-out frames, places without a shot, given files, a camera file). Places that name a shot are given to its run.
+    clip (held-out frames, places without a shot, given files, a camera file, a bullet time). Places that name a shot are given to
+    its run.
 
     Returns:
         the content of ``metrics.json`` by the name of each shot; None where the clip is to be one scene: then nothing was done.
@@ -116,19 +117,23 @@ def _forget(out: Path) -> None:
 
 
 def _run_all(source: Path, out: Path, config: RunConfig) -> dict[str, dict[str, Any]]:
-    listed = read_shots(out)
-    assert listed is not None
+    listed = _read_shots(out)
     metrics: dict[str, dict[str, Any]] = {}
     for shot in listed.shots:
         report(f"Shot {shot.number} of {len(listed.shots)}: {shot.start:.2f} to {shot.end:.2f} s, in {shot.path}")
         metrics[shot.path.name] = run(source, shot.path, config_of(shot, config))
-        _write_report(out, source, listed)
-    if listed.places is None and len(listed.shots) > 1:
+        _write_report(out, source, _read_shots(out))
+    if _read_shots(out).places is None and len(listed.shots) > 1:
         write_places(out, _find_places(listed.shots))
-        listed = read_shots(out)
-        assert listed is not None
-        _write_report(out, source, listed)
+        _write_report(out, source, _read_shots(out))
     return metrics
+
+
+def _read_shots(out: Path) -> ShotList:
+    """Return the shots of a folder that holds some."""
+    listed = read_shots(out)
+    assert listed is not None
+    return listed
 
 
 def _find_places(shots: Sequence[Shot]) -> list[Place]:
@@ -175,8 +180,7 @@ def word_next_steps(out: Path) -> Iterator[str]:
     Raises:
         InputError: the record of the shots is damaged.
     """
-    listed = read_shots(out)
-    assert listed is not None
+    listed = _read_shots(out)
     yield from listed.remarks
     folder, first = shlex.quote(str(out)), shlex.quote(str(listed.shots[0].path))
     yield f"  their report:    {RunPaths(out).report_path}"
