@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -35,6 +37,14 @@ def test_unprojecting_undoes_projecting():
     back, z = camera.project(camera.unproject(uv, depth))
     np.testing.assert_allclose(back, uv, atol=1e-9)
     np.testing.assert_allclose(z, depth, atol=1e-12)
+
+
+def test_a_transposed_viewmat_is_no_camera():
+    camera = random_camera(np.random.default_rng(0))
+    assert camera.is_valid
+    assert not replace(camera, viewmat=camera.viewmat.T).is_valid
+    for last in ([0, 0, 0, 0], [0, 0, 0, 2], [0, 0, 1e-3, 1]):
+        assert not replace(camera, viewmat=np.vstack([camera.viewmat[:3], last])).is_valid
 
 
 def test_torch_and_numpy_project_alike():

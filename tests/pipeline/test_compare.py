@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,8 @@ import flowsplat
 from flowsplat.cli import main
 from flowsplat.common.errors import InputError
 from flowsplat.pipeline.compare import MAX_RUNS, name_folders
+from flowsplat.pipeline.fitting import train_key
+from flowsplat.pipeline.folder import RunFolder
 from tests.browser import Complaints
 
 NASTY = '<b onclick="x">&\''
@@ -24,7 +27,10 @@ def runs(finished, tmp_path) -> list[Path]:
     folders = [tmp_path / "own", tmp_path / NASTY]
     for folder in folders:
         shutil.copytree(finished, folder)
-    change(folders[1] / "run.json", lambda record: record["config"]["train"].update(iterations=40, seed=7))
+    other = RunFolder(folders[1])
+    other.config = replace(other.config, train=replace(other.config.train, iterations=40, seed=7))
+    other.record["stages"]["train"]["key"] = train_key(other)
+    other.save()
     change(folders[1] / "metrics.json", lambda metrics: metrics["heldout_frames"].update(psnr=99.25))
     return folders
 

@@ -23,7 +23,10 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import lease
 from flowsplat.pipeline import prepare, run
 from flowsplat.pipeline.describe import describe
+from flowsplat.pipeline.folder import RunFolder
+from flowsplat.pipeline.preparing import find_prepared
 from flowsplat.priors.given import GivenPriors
+from flowsplat.scenes import Scene
 from tests.commands import call_in_one_process
 from tests.mounts import needs_mounts, read_only, without_shared_memory
 from tests.shared import small_config
@@ -259,6 +262,45 @@ def test_what_a_scene_of_others_links_to_does_not_come_along(tiny_scene, tmp_pat
     with pytest.raises(InputError, match="is a link or no ordinary file"):
         prepare(scene, tmp_path / "out", small_config())
     assert not (tmp_path / "out").exists()
+
+
+def test_a_scene_is_not_copied_into_itself(tiny_scene, tmp_path):
+    scene = Path(shutil.copytree(tiny_scene, tmp_path / "scene"))
+    before = contents(scene)
+    with pytest.raises(InputError, match="choose another output folder with -o"):
+        prepare(scene, scene / "out", small_config())
+    assert contents(scene) == before
+    assert not (scene / "out").exists()
+
+
+def test_a_scene_that_changed_is_not_taken_for_the_one_before(tiny_scene, tmp_path):
+    scene = Scene(shutil.copytree(tiny_scene, tmp_path / "scene"))
+    prepare(scene.folder, tmp_path / "out", small_config())
+    scene.write_frame(0, 255 - scene.frame(0))
+    with pytest.raises(InputError, match="belongs to a different input"):
+        prepare(scene.folder, tmp_path / "out", small_config())
+
+
+@pytest.mark.parametrize("lost", ["scene", "scene/scene.json"])
+def test_a_prepared_scene_that_is_gone_is_prepared_again(tiny_scene, tmp_path, lost):
+    out = tmp_path / "out"
+    prepare(tiny_scene, out, small_config())
+    shutil.rmtree(out / lost) if (out / lost).is_dir() else (out / lost).unlink()
+    assert find_prepared(tiny_scene, out, small_config()) is None
+    assert Scene(prepare(tiny_scene, out, small_config()).scene_path).has_depth(0)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text elsewhere")
+def test_names_of_files_that_are_no_text_are_no_trouble(tiny_scene, tmp_path):
+    scene, out = (tmp_path / os.fsdecode(name) for name in (b"sc\xffne", b"\xfeout"))
+    shutil.copytree(tiny_scene, scene)
+    (scene / os.fsdecode(b"n\xffte.txt")).write_text("of somebody")
+    for command in (["prepare", scene, "-o", out, *SMALL[:2]], ["info", out]):
+        ended = subprocess.run([*COMMAND, *command], capture_output=True, text=True, timeout=240)
+        assert ended.returncode == 0, ended.stderr
+    assert r"\udcfeout of" in ended.stdout
+    assert RunFolder(out).record["input"].endswith(r"sc\udcffne")
+    assert find_prepared(scene, out, small_config()) is not None
 
 
 def test_a_scene_that_does_not_fit_on_the_disk_is_one_line(tiny_scene, tmp_path, monkeypatch):

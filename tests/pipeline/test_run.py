@@ -15,6 +15,7 @@ import torch
 import flowsplat
 from flowsplat.common.errors import InputError
 from flowsplat.common.settings import from_plain, to_plain
+from flowsplat.output.viewer.source import Source
 from flowsplat.pipeline import demo, fitting, prepare, preparing, run, stages, summary, train
 from flowsplat.pipeline.config import RunConfig, preset
 from flowsplat.pipeline.describe import describe
@@ -270,6 +271,43 @@ def test_videos_of_the_model_before_are_not_shown(tiny_scene, finished, tmp_path
     run(tiny_scene, out, small_config(seed=5))
     assert "bullet_time.mp4" not in (out / "report.html").read_text()
     assert "input_path.mp4" in (out / "report.html").read_text()
+
+
+def test_what_was_made_of_the_model_before_goes_with_it(finished, tmp_path):
+    folder = RunFolder(shutil.copytree(finished, tmp_path / "out"))
+    folder.config = replace(folder.config, train=replace(folder.config.train, iterations=2))
+    train(folder)
+    for path in (folder.metrics_path, folder.report_path, folder.evaluation_path, folder.all_frames_path):
+        assert not path.exists()
+    told = list(describe(folder.path))
+    assert "  evaluate: not finished" in told
+    assert not any("PSNR" in line for line in told)
+    assert "not measured yet" in repr(flowsplat.Run(folder.path))
+    with pytest.raises(InputError, match="not measured yet"):
+        flowsplat.compare(folder.path, finished)
+
+
+def test_figures_are_not_of_a_scene_that_was_prepared_anew(tiny_scene, finished, tmp_path):
+    config = small_config()
+    folder = RunFolder(shutil.copytree(finished, tmp_path / "out"))
+    prepare(tiny_scene, folder.path, replace(config, priors=replace(config.priors, mask_click=("10,10@0",))))
+    told = list(describe(folder.path))
+    assert "  train: not finished" in told
+    assert any("it is of another scene or of other settings" in line for line in told)
+    assert not any("PSNR" in line for line in told)
+    with pytest.raises(InputError, match="not measured yet"):
+        _ = flowsplat.Run(folder.path).metrics
+    prepare(tiny_scene, folder.path, config)
+    assert flowsplat.Run(folder.path).metrics == json.loads((finished / "metrics.json").read_text())
+
+
+def test_a_model_is_not_shown_in_a_scene_that_was_prepared_anew(finished, tmp_path):
+    out = Path(shutil.copytree(finished, tmp_path / "out"))
+    scene = Scene(out / "scene")
+    scene.write_similarity(replace(scene.similarity, scale=2 * scene.similarity.scale))
+    for read in (flowsplat.load, lambda path: flowsplat.load(path / "model"), Source, lambda path: flowsplat.export(path, "ply")):
+        with pytest.raises(InputError, match=r"was prepared anew: run flowsplat train on it again\.$"):
+            read(out)
 
 
 def camera_file(path: Path, fov: float, frames: int = 2) -> Path:
@@ -557,6 +595,16 @@ def test_what_is_wrong_with_the_videos_is_said_first(tiny_scene, tmp_path, monke
     with pytest.raises(InputError, match=r"nope\.json"):
         run(tiny_scene, tmp_path / "out", replace(config, render=replace(config.render, camera_file=tmp_path / "nope.json")))
     assert not (tmp_path / "out").exists()
+
+
+def test_what_is_wrong_with_the_videos_of_a_prepared_run_is_said_before_the_training(tiny_scene, tmp_path, monkeypatch):
+    out, config = tmp_path / "out", small_config()
+    prepare(tiny_scene, out, config)
+    monkeypatch.setattr(Trainer, "run", lambda self: pytest.fail("trained before the videos were looked at"))
+    for wrong in ({"camera_file": tmp_path / "nope.json"}, {"bullet_time": 99.0}, {"width": 1}):
+        with pytest.raises(InputError):
+            run(tiny_scene, out, replace(config, render=replace(config.render, **wrong)))
+        assert RunFolder(out).config == config
 
 
 def test_settings_that_are_no_numbers_are_named(tiny_scene, tmp_path):

@@ -267,7 +267,10 @@ def test_start_and_end_restrict_where_shots_are_looked_for(clip, tmp_path):
 def test_settings_that_name_frames_are_of_one_scene(clip, tmp_path):
     from flowsplat.common.settings import with_settings
 
-    for name, value in (("input.holdout_frames", [3]), ("priors.mask_click", ["3,3,0"]), ("priors.given.masks", "masks")):
+    for name, value in (
+        ("input.holdout_frames", [3]), ("priors.mask_click", ["3,3,0"]), ("priors.given.masks", "masks"),
+        ("priors.given.object_depth", "depth"), ("render.bullet_time", 0.0),
+    ):  # fmt: skip
         assert run_shots(clip, tmp_path / "out", with_settings(RunConfig(), {name: value})) is None
 
 
@@ -368,6 +371,25 @@ def test_shots_of_one_place_are_told_and_kept(tmp_path):
     assert listed.remarks == [
         "Shots 1 and 3 see the same place: the cameras of both are known in one world, to about 2.2 pixels by 120 points."
     ]
+
+
+def test_shots_of_one_place_are_looked_for_again_when_cameras_are_others(finished, clip, tmp_path, capsys, monkeypatch):
+    out = Path(shutil.copytree(finished, tmp_path / "out"))
+    listed = read_shots(out)
+    assert listed is not None
+    assert listed.places
+    scene = Scene(out / "shots" / "02" / "scene")
+    scene.write_cameras([replace(camera, K=camera.K * [[1.1], [1.1], [1]]) for camera in scene.cameras])
+    listed = read_shots(out)
+    assert listed is not None
+    assert listed.places is None
+    found = []
+    monkeypatch.setattr("flowsplat.pipeline.shots.find_same_place", lambda *scenes: found.append(scenes))
+    assert call(capsys, "run", clip, "-o", out, *FAST)[0] == 0
+    assert len(found) == 1
+    listed = read_shots(out)
+    assert listed is not None
+    assert listed.places == []
 
 
 @pytest.mark.parametrize("text", DAMAGED)

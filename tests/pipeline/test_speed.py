@@ -113,6 +113,14 @@ def test_more_work_is_expected_to_take_longer():
     assert rest["final"] - rest["plain"] == pytest.approx(5 * STEPS_A_HELDOUT_FRAME / RunConfig().train.iterations * small["train"])
 
 
+def test_a_training_of_no_steps_takes_no_time():
+    scene = SimpleNamespace(width=640, height=360, num_frames=50, train_frames=range(45), heldout_frames=range(5))
+    config = RunConfig()
+    found = estimate_seconds(scene, replace(config, train=replace(config.train, iterations=0)))
+    assert found["train"] == 0
+    assert found["rest"] == estimate_seconds(scene, CONFIGS["plain"])["rest"]
+
+
 def test_what_is_true_costs_nothing(tested):
     scene = SimpleNamespace(width=640, height=360, num_frames=50, train_frames=range(45), heldout_frames=range(5))
     config = RunConfig()

@@ -11,6 +11,7 @@ import pytest
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.settings import to_plain
+from flowsplat.geometry import Similarity
 from flowsplat.scenes import Scene
 from flowsplat.scenes.ingest import InputOptions, fingerprint, ingest, kind_of_input, open_clip
 
@@ -168,9 +169,8 @@ def test_input_of_no_known_kind(folder, tmp_path):
     with pytest.raises(InputError, match="needs the root folder of DAVIS"):
         open_clip(folder, replace(OPTIONS, sequence="bear"))
     run(folder, tmp_path / "scene")
-    for call in (open_clip, fingerprint):
-        with pytest.raises(InputError, match="prepared scene already"):
-            call(tmp_path / "scene", OPTIONS)
+    with pytest.raises(InputError, match="prepared scene already"):
+        open_clip(tmp_path / "scene", OPTIONS)
 
 
 def test_options_are_checked(folder):
@@ -224,6 +224,21 @@ def test_fingerprint_tells_inputs_apart(folder, tmp_path, write_image_file, make
     names = [fingerprint(folder, OPTIONS)]
     names += [change() for change in (change_options, change_an_image, change_a_mask, rename_an_image)]
     assert len(set(names)) == len(names)
+
+
+def test_fingerprint_of_a_scene_is_of_all_that_was_made_not_of_what_was_looked_at(folder, tmp_path):
+    scene = run(folder, tmp_path / "scene")
+    names = [fingerprint(scene.folder, OPTIONS)]
+    assert fingerprint(scene.folder, replace(OPTIONS, every=3)) == names[0]
+    scene.write_similarity(Similarity(2.0, np.eye(3), np.zeros(3)))
+    assert fingerprint(scene.folder, OPTIONS) == names[0]
+    scene.write_frame(0, 255 - scene.frame(0))
+    names.append(fingerprint(scene.folder, OPTIONS))
+    scene.write_mask(0, np.ones((scene.height, scene.width), np.uint8))
+    names.append(fingerprint(scene.folder, OPTIONS))
+    scene.finish_prior("depth", method="given")
+    names.append(fingerprint(scene.folder, OPTIONS))
+    assert len(set(names)) == 4
 
 
 @pytest.mark.parametrize("position", [10, 199_990])

@@ -271,6 +271,7 @@ def test_without_checkpoints_none_is_written(tmp_path):
         ("init.flatness", 0.0, "more than 0"), ("init.size", 0.0, "more than 0"), ("init.precision_factor", 0.0, "more than 0"),
         ("loss.flow", 1e308, "at most 1000"), ("init.edge", 10**6, "at most 256"), ("loss.rigid_neighbors", 10**6, "at most 256"),
         ("model.mean_fourier", 10**8, "at most 64"), ("density.max_gaussians", 10**12, "at most 1e"),
+        ("rates.moving", 0.0, "more than 0"), ("rates.time_factor", 0.0, "more than 0"),
         ("init.samples", 10**9, "at most"), ("rates.means", 1e30, "at most 1000"), ("iterations", 10**15, "at most 1e"),
     ],
 )  # fmt: skip

@@ -20,7 +20,7 @@ from flowsplat.batch.clips import BatchClip
 from flowsplat.batch.records import FOLDER
 from flowsplat.batch.upload import upload
 from flowsplat.batch.work import Attempt, Job
-from flowsplat.common.files import atomic_path, read_json
+from flowsplat.common.files import atomic_path, lease, read_json
 from flowsplat.common.progress import report
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.source import source_state
@@ -32,6 +32,7 @@ from flowsplat.output.videos.shown import choose_video
 from flowsplat.pipeline import run
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.folder import RunFolder, stage_key
+from flowsplat.pipeline.preparing import clear_folder, identify
 from flowsplat.pipeline.shot_list import ShotsFile
 from flowsplat.pipeline.shots import run_shots
 from flowsplat.pipeline.speed import estimate_memory
@@ -88,6 +89,7 @@ def run_clip(clip: BatchClip, out: Path, copies: str | None, attempt: Attempt) -
         config = fewer_gaussians(config)
     folder = out / clip.id
     config = replace(config, coarse_scene=False)  # nobody looks meanwhile
+    _clear_if_changed(clip.path, folder, config)
     shots = run_shots(clip.path, folder, config)
     if shots is None:
         metrics = run(clip.path, folder, config)
@@ -103,6 +105,22 @@ def run_clip(clip: BatchClip, out: Path, copies: str | None, attempt: Attempt) -
         "versions": {"flowsplat": source_state(), "python": platform.python_version(), "torch": torch.__version__},
         "uploaded": None if copies is None else upload(folder, copies),
     }  # fmt: skip
+
+
+def _clear_if_changed(path: Path, folder: Path, config: RunConfig) -> None:
+    """Take out of the folder of a clip what was made of it when other files were there, or others of its frames were taken.
+
+    Raises:
+        InputError: the clip cannot be used, or the folder is damaged; or as ``lease``.
+    """
+    run = RunPaths(folder)
+    if not run.holds_run:
+        return
+    before = RunFolder(folder).record if run.record_path.exists() else read_json(run.shots_record_path, ShotsFile)
+    if before["input"] == str(path) and before["fingerprint"] != identify(path, config):  # that of another clip is refused
+        report(f"{path} is not what it was, or other frames of it are taken: its run begins anew, and the one before goes.")
+        with lease(folder):
+            clear_folder(folder)
 
 
 def _describe(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -27,6 +27,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if whole_process:  # Our matrices are small: two threads of BLAS take twice as long for the cameras, and give other last digits.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         keep_imported()
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            sys.stdout.reconfigure(errors="backslashreplace")  # as stderr: names of files may hold what is no text
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     # tyro spells it None.
     for k, argument in enumerate(arguments):

@@ -60,11 +60,13 @@ class Camera:
 
     @property
     def is_valid(self) -> bool:
-        """Whether every number is finite and not absurd, the rotation is one and no mirror, and the image has pixels."""
+        """Whether every number is finite and not absurd, ``viewmat`` has a rotation, no mirror, and its last row, and the image has
+        pixels."""
         R = self.viewmat[:3, :3]
         return bool(
             (np.abs(self.viewmat) <= MAX_COORDINATE).all()  # not for NaN
             and (np.abs(self.K) <= MAX_COORDINATE).all()
+            and np.abs(self.viewmat[3] - [0, 0, 0, 1]).max() < 1e-6  # the translation of a transposed one stands here
             and np.abs(R @ R.T - np.eye(3)).max() < 1e-3
             and np.linalg.det(R) > 0
             and min(self.width, self.height) >= 1

@@ -19,7 +19,6 @@ from flowsplat.pipeline.config import format_option
 from flowsplat.pipeline.folder import RunFolder
 from flowsplat.pipeline.python_run import Run
 from flowsplat.pipeline.shot_list import resolve_run
-from flowsplat.pipeline.stages import read_metrics
 from flowsplat.pipeline.summary import comparisons, list_rows, pick_all
 from flowsplat.scenes import Scene
 
@@ -88,9 +87,7 @@ def name_folders(folders: Sequence[Path]) -> list[str]:
 
 def _read(path: Path, label: str) -> ComparedRun:
     folder = RunFolder(path)
-    if not folder.metrics_path.exists():
-        raise InputError(f"{path} was not measured yet: finish flowsplat run, or call flowsplat evaluate {path}.")
-    metrics = read_metrics(folder.metrics_path)
+    metrics = Run(path).metrics
     settings = {format_option(name): value for name, value in flat(to_plain(folder.config)).items()}
     # Without the folders of this machine: a page is made to be shown.
     settings = {"input": PurePath(folder.record["input"]).name, **settings}

@@ -16,6 +16,7 @@ from flowsplat.common.files.lease import holder
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.images.html import NOTHING
 from flowsplat.output.verdict import verdict
+from flowsplat.pipeline.fitting import is_trained
 from flowsplat.pipeline.folder import MetricsFile, RunFolder
 from flowsplat.pipeline.shot_list import ShotList, read_shots
 from flowsplat.priors.graph import PRIORS
@@ -76,14 +77,16 @@ def _describe_run(folder: RunFolder) -> Iterator[str]:
     yield f"Run {folder.path} of {folder.record['input']}"
     if (who := holder(folder.path)) is not None:
         yield f"  is being written by {who}"
+    trained = is_trained(folder)
     for stage in ("coarse", "prepare", "train", "evaluate", "all_frames", "render"):
         entry = folder.record["stages"].get(stage)
         if (stage == "all_frames" and not folder.config.final_fit) or (stage == "coarse" and entry is None):
             continue
-        state = "not finished" if entry is None else f"finished in {format_duration(sum(entry['seconds'].values()))}"
+        counts = trained or stage in ("coarse", "prepare")
+        state = "not finished" if entry is None or not counts else f"finished in {format_duration(sum(entry['seconds'].values()))}"
         yield f"  {stage}: {state}"
     metrics = folder.metrics_path
-    if metrics.exists():
+    if trained and metrics.exists():
         values = read_json(metrics, MetricsFile)
         yield f"  {verdict(values)}"
         for name in ("heldout_frames", "heldout_views", "training_frames"):
@@ -96,7 +99,9 @@ def _describe_run(folder: RunFolder) -> Iterator[str]:
         yield f"  model: {value['gaussians']:,} Gaussians, {value['dynamic']:,} of them move"
         if value.get("objects"):
             yield "  Gaussians of the objects: " + ", ".join(f"{count:,} of {number}" for number, count in value["objects"].items())
-    elif "train" in folder.record["stages"]:
+        if not trained:
+            yield f"  model: it is of another scene or of other settings; flowsplat train {folder.path} trains it again"
+    elif trained:
         yield f"  model: {folder.model_path} is gone; flowsplat train {folder.path} trains it again"
     if (folder.scene_path / "scene.json").exists():
         yield from _describe_scene(Scene(folder.scene_path))

@@ -53,6 +53,11 @@ def train_key(folder: RunFolder) -> str:
     return stage_key(folder.record["stages"].get("prepare", {}).get("key"), select_result_settings(settings))
 
 
+def is_trained(folder: RunFolder) -> bool:
+    """Return whether the model of a run is of its scene and settings, so that what was made of it still counts."""
+    return folder.is_finished("train", train_key(folder))
+
+
 def train(folder: RunFolder) -> SceneModel:
     """Train the scene of a run, from its last checkpoint if there is one.
 
@@ -69,12 +74,16 @@ def _train(folder: RunFolder) -> SceneModel:
         raise InputError(f"{folder.path} is not prepared yet: run flowsplat prepare first.")
     check(folder.config)  # before anything is deleted
     key = train_key(folder)
-    if not folder.is_finished("train", key) and not folder.was_started("train", key):
+    if not is_trained(folder) and not folder.was_started("train", key):
         if folder.model_path.exists() or folder.training_path.exists():
             report("The settings of training, or the scene, are others than before: it begins anew.")
         forget_videos(folder.renders_path)
-    owns = folder.training_path, folder.logs_path, folder.all_frames_path, folder.one_color_path, folder.model_path
-    with folder.stage("train", key, owns, drops=("all_frames", "one_color"), made=has_model(folder.model_path)) as stage:
+    owns = (
+        folder.training_path, folder.logs_path, folder.all_frames_path, folder.one_color_path, folder.model_path,
+        folder.metrics_path, folder.report_path, folder.evaluation_path,
+    )  # fmt: skip
+    drops = ("all_frames", "one_color", "evaluate", "render")
+    with folder.stage("train", key, owns, drops, made=has_model(folder.model_path)) as stage:
         if stage.is_done:
             return load_model(folder.model_path).to(pick_device(folder.config.device))
         return _train_in(folder, stage, "train", resolve_train_config(folder), folder.training_path, folder.model_path)
@@ -240,7 +249,7 @@ def one_color_model(folder: RunFolder) -> SceneModel:
     """
     with lease(folder.path):
         is_final = has_model(folder.all_frames_path) and wants_final(folder) and folder.is_finished("all_frames", final_key(folder))
-        if not folder.is_finished("train", train_key(folder)):
+        if not is_trained(folder):
             raise InputError(f"{folder.path} holds no scene that was trained with its settings: run flowsplat train on it first.")
         key = stage_key(final_key(folder) if is_final else train_key(folder), "one_color")
         path = folder.one_color_path

@@ -251,7 +251,7 @@ class RunFolder(RunPaths):
 
         Args:
             key: everything that what it makes depends on (``stage_key``).
-            owns: what lies in the folder of it alone, and is deleted where it begins from nothing.
+            owns: folders and files that are of it alone, and are deleted where it begins from nothing.
             drops: stages whose results belong to those of this one: they are forgotten then, too.
             made: whether what it makes is there, if it was finished.
         """
@@ -261,6 +261,8 @@ class RunFolder(RunPaths):
                 for stage in (name, *drops):
                     self.forget(stage)
                 for path in owns:
+                    if path.is_file():
+                        path.unlink()
                     shutil.rmtree(path, ignore_errors=True)
             give_back_memory()
             begin_peak()

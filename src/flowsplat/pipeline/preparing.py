@@ -62,19 +62,27 @@ def find_prepared(source: str | Path, out: str | Path, config: RunConfig) -> Pat
     source, out = Path(source), Path(out)
     if not RunPaths(out).record_path.exists():
         return None
-    folder, key = RunFolder(out), stage_key(_identify(source, config), *PRIORS.inputs(config.priors))
-    return folder.scene_path if folder.is_finished("prepare", key) else None
+    folder, key = RunFolder(out), stage_key(identify(source, config), *PRIORS.inputs(config.priors))
+    return folder.scene_path if _is_prepared(folder, key) else None
 
 
-def _identify(source: Path, config: RunConfig) -> str:
-    kind = kind_of_input(source)
-    return stage_key(kind, _scene_identity(source) if kind == "scene" else fingerprint(source, config.input))
+def identify(source: Path, config: RunConfig) -> str:
+    """Return what the run of an input is known by: its kind, its files, and what is taken from it.
+
+    Raises:
+        InputError: the input cannot be used.
+    """
+    return stage_key(kind_of_input(source), fingerprint(source, config.input))
+
+
+def _is_prepared(folder: RunFolder, key: str) -> bool:
+    return folder.is_finished("prepare", key) and (folder.scene_path / "scene.json").exists()
 
 
 def prepare_folder(source: Path, out: Path, config: RunConfig, first: Callable[[RunFolder, Clip], None] | None = None) -> RunFolder:
     """As ``prepare``; ``first`` is called with the opened clip before anything is computed of it."""
     check(config)
-    kind, identity = kind_of_input(source), _identify(source, config)
+    kind, identity = kind_of_input(source), identify(source, config)
     is_new, clip = not RunPaths(out).record_path.exists(), None
     if kind == "scene":
         Scene(source)
@@ -82,12 +90,16 @@ def prepare_folder(source: Path, out: Path, config: RunConfig, first: Callable[[
             report(f"{source} is prepared already: what options or the preset take from a clip has no effect on it.")
     elif is_new:
         clip = open_clip(source, config.input)  # Whatever is wrong with it is said before a folder is made.
-    before = {} if is_new else RunFolder(out).record
+    key = stage_key(identity, *PRIORS.inputs(config.priors))
+    before: dict[str, Any] = {}
     if not is_new:
+        earlier = RunFolder(out)
+        before = earlier.record
+        if _is_prepared(earlier, key):
+            settle(Scene(earlier.scene_path), config.render)  # Whatever is wrong with the videos is said before the training.
         remove_partials(out)
     folder = RunFolder.open_or_create(out, str(source), identity, config)
-    key = stage_key(identity, *PRIORS.inputs(config.priors))
-    if folder.is_finished("prepare", key):
+    if _is_prepared(folder, key):
         return folder
     show: Callable[[], None] | None = None
     if first is not None and kind != "scene" and not has_model(folder.model_path):
@@ -148,7 +160,7 @@ def _compute_scene(
         check_places(scene, config.priors)
     except InputError:
         if is_new:
-            _clear(folder.path)
+            clear_folder(folder.path)
         raise
     for note in scene.info.notes:
         report(note)
@@ -179,7 +191,7 @@ def _compute_scene(
         seconds = prepare_priors(scene, config.priors, config.device, after)
     except InputError:
         if is_new and all(name in had or how.get("method") in BROUGHT for name, how in scene.info.priors.items()):
-            _clear(folder.path)
+            clear_folder(folder.path)
         raise
     with spinner("Writing priors.html"):
         page = write_priors_report(folder.path, scene, seconds)
@@ -189,8 +201,9 @@ def _compute_scene(
     stage.finish({"ingest": ingested, **seconds}, memory)
 
 
-def _clear(out: Path) -> None:
-    """Take everything out of a folder of a run that nothing was computed for; it goes with its lease where it was made for it."""
+def clear_folder(out: Path) -> None:
+    """Take everything out of a folder of a run, as where nothing was computed for it; it goes with its lease where it was made for
+    it."""
     for entry in out.iterdir():
         if entry.is_dir() and not entry.is_symlink():
             shutil.rmtree(entry, ignore_errors=True)
@@ -207,11 +220,6 @@ def _read_input(source: Path, clip: Clip | None, kind: str, target: Path, config
     return ingest(clip or open_clip(source, config.input), target, config.input)
 
 
-def _scene_identity(source: Path) -> str:
-    info = Scene(source).info
-    return stage_key({name: getattr(info, name) for name in ("name", "source", "width", "height", "timestamps", "train")})
-
-
 def copy_scene(source: Path, target: Path) -> Scene:
     """Link a prepared scene's files into another folder: every later write replaces a file, so the original stays as it is.
 
@@ -219,6 +227,7 @@ def copy_scene(source: Path, target: Path) -> Scene:
         InputError: the folder cannot be written, or the scene holds links.
     """
     if not (target / "scene.json").exists():
+        shutil.rmtree(target, ignore_errors=True)  # without its record the rest is no scene
         link_files(source, target)
     return Scene(target)
 
@@ -227,8 +236,11 @@ def link_files(source: Path, target: Path) -> None:
     """A folder with the same files as another one, linked where the file system can; it is there when all of them are.
 
     Raises:
-        InputError: the folder cannot be written, or the other one holds links: what they lead to would come along.
+        InputError: the folder cannot be written or is within the other one, or that holds links: what they lead to would come
+            along.
     """
+    if target.resolve().is_relative_to(source.resolve()):
+        raise InputError(f"{target} is in {source} itself, which is to be copied there: choose another output folder with -o.")
 
     def link(origin: str, destination: str) -> None:
         try:

@@ -19,6 +19,7 @@ from flowsplat.output.export.options import ExportOptions
 from flowsplat.pipeline import stages
 from flowsplat.pipeline.config import RunConfig, check, find_setting, format_option
 from flowsplat.pipeline.config import preset as settings_of
+from flowsplat.pipeline.folder import RunFolder
 from flowsplat.pipeline.renamed_options import find_renamed_option
 from flowsplat.pipeline.shot_list import resolve_run
 from flowsplat.scenes import Scene
@@ -63,18 +64,21 @@ class Run:
         """The content of ``metrics.json``.
 
         Raises:
-            InputError: the run was not measured yet.
+            InputError: the run was not measured yet, or not since it is trained or prepared anew.
         """
-        return stages.read_metrics(RunPaths(self.folder).metrics_path)
+        metrics = stages.find_metrics(RunFolder(self.folder))
+        if metrics is None:
+            raise InputError(f"{self.folder} was not measured yet: finish flowsplat run, or call flowsplat evaluate {self.folder}.")
+        return metrics
 
     def _facts(self) -> dict[str, str]:
         """Return what is known of it in a few words; nothing of what was not made yet."""
         paths, facts = RunPaths(self.folder), dict[str, str]()
         if (paths.scene_path / "scene.json").exists():
             facts["clip"] = f"{self.scene.num_frames} frames of {self.scene.width}x{self.scene.height}"
-        if not paths.metrics_path.exists():
+        metrics = stages.find_metrics(RunFolder(self.folder)) if paths.metrics_path.exists() else None
+        if metrics is None:
             return {**facts, "figures": "not measured yet"}
-        metrics = self.metrics
         for name, path in (("held-out frames", ("heldout_frames", "psnr")), ("held-out views", ("heldout_views", "psnr"))):
             if (value := pick(metrics, *path)) is not None:
                 facts[name] = f"{value:.2f} dB"

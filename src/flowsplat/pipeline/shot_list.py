@@ -11,7 +11,7 @@ from msgspec import Meta
 from typing_extensions import NotRequired, TypedDict
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import read_json, write_json
+from flowsplat.common.files import hash_files, read_json, write_json
 from flowsplat.common.files.json_file import Count, Text
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.geometry import Similarity
@@ -41,7 +41,7 @@ class PlaceFile(TypedDict):
 
 
 class ShotsFile(TypedDict):
-    """What ``shots.json`` holds; ``places`` only once all shots were compared."""
+    """What ``shots.json`` holds; ``places`` only once all shots were compared, with a hash of the ``cameras`` that they had."""
 
     version: Count
     input: Text
@@ -49,6 +49,7 @@ class ShotsFile(TypedDict):
     shots: Annotated[list[ShotFile], Meta(min_length=1)]
     notes: list[Text]
     places: NotRequired[list[PlaceFile]]
+    cameras: NotRequired[Text]
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,8 @@ class Place:
 
 @dataclass(frozen=True)
 class ShotList:
-    """The shots of a clip, sentences on what else was seen of its cuts, and shots of one place (None: not looked for yet)."""
+    """The shots of a clip, sentences on what else was seen of its cuts, and shots of one place (None: not looked for yet, or not
+    since cameras of a shot were estimated anew)."""
 
     shots: list[Shot]
     notes: list[str]
@@ -125,7 +127,14 @@ def read_shots(out: Path) -> ShotList | None:
         raise InputError(f"{path} is damaged: its shots do not follow one another.")
     places = record.get("places")
     known = None if places is None else [_read_place(path, place, len(spans)) for place in places]
-    return ShotList(_place_shots(out, spans), list(record["notes"]), known)
+    shots = _place_shots(out, spans)
+    return ShotList(shots, list(record["notes"]), known if record.get("cameras") == _hash_cameras(shots) else None)
+
+
+def _hash_cameras(shots: Sequence[Shot]) -> str:
+    """Return a hash of the cameras of all shots that have some yet."""
+    files = [(str(shot.number), RunPaths(shot.path).scene_path / "cameras.json") for shot in shots]
+    return hash_files("", [(name, file) for name, file in files if file.exists()], whole=True)
 
 
 def write_places(out: Path, places: Sequence[Place]) -> None:
@@ -135,7 +144,9 @@ def write_places(out: Path, places: Sequence[Place]) -> None:
         InputError: the record is damaged, or cannot be written.
     """
     path = RunPaths(out).shots_record_path
-    record = read_json(path, ShotsFile)
+    record, listed = read_json(path, ShotsFile), read_shots(out)
+    assert listed is not None
+    record["cameras"] = _hash_cameras(listed.shots)
     record["places"] = [
         {
             "shots": [place.first, place.second], "similarity": place.found.similarity.to_json(), "matches": place.found.matches,

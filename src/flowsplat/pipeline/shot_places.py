@@ -20,9 +20,10 @@ PLACES = ("mask_click", "mask_box", "mask_negative", "contact", "same_depth")
 
 
 def names_frames(config: RunConfig) -> bool:
-    """Return whether settings are of frames of the whole clip, which those of a shot are not."""
-    whole = config.input.holdout_frames or config.priors.given.named or config.render.camera_file
-    return bool(whole) or any(shot is None for _, _, shot in _list_places(config.priors))
+    """Return whether settings are of frames or seconds of the whole clip, which those of a shot are not."""
+    given, render = config.priors.given, config.render
+    whole = config.input.holdout_frames or given.named or given.object_depth or render.camera_file
+    return bool(whole) or render.bullet_time is not None or any(shot is None for _, _, shot in _list_places(config.priors))
 
 
 def check_shots(options: PriorsOptions, count: int) -> None:

@@ -29,16 +29,17 @@ from flowsplat.output.shots_report import ShotOnPage, write_shots_report
 from flowsplat.output.videos import list_rendered, read_posters
 from flowsplat.output.videos.shown import choose_video
 from flowsplat.pipeline.config import RunConfig, check
-from flowsplat.pipeline.folder import stage_key
+from flowsplat.pipeline.folder import RunFolder
+from flowsplat.pipeline.preparing import identify
 from flowsplat.pipeline.shot_list import VERSION, Place, Shot, ShotList, ShotsFile, read_shots, write_places
 from flowsplat.pipeline.shot_places import check_places_of_shot, check_shots, names_frames, take_places
 from flowsplat.pipeline.speed import STAGES, Speed, estimate_seconds_of_clip
-from flowsplat.pipeline.stages import load, read_metrics, run
+from flowsplat.pipeline.stages import find_metrics, load, run
 from flowsplat.priors.cameras.same_place import find_same_place
 from flowsplat.priors.cameras.shots import MIN_SHOT_FRAMES, Piece, Transition, find_pieces, find_transitions
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import MAX_FRAMES, Clip, InputOptions
-from flowsplat.scenes.ingest import fingerprint, kind_of_input, open_clip
+from flowsplat.scenes.ingest import kind_of_input, open_clip
 
 MAX_LOOKED_FRAMES = 4000
 """Frames of a clip that are looked at for cuts, at most: they are held, small and gray. Of longer ones one in so many. A round
@@ -51,7 +52,8 @@ def run_shots(source: Path, out: Path, config: RunConfig, shots: Shots = "split"
     """Run every shot of a clip with cuts, as ``run`` does a clip. Called again, it continues.
 
     Cuts are looked for in videos and folders of images, unless ``out`` holds a run already or the settings name frames of the whole
-    clip (held-out frames, places without a shot, given files, a camera file). Places that name a shot are given to its run.
+    clip (held-out frames, places without a shot, given files, a camera file, a bullet time). Places that name a shot are given to
+    its run.
 
     Returns:
         the content of ``metrics.json`` by the name of each shot; None where the clip is to be one scene: then nothing was done.
@@ -71,7 +73,7 @@ def run_shots(source: Path, out: Path, config: RunConfig, shots: Shots = "split"
         return None
     if kind == "scene":
         raise InputError(f"{out} holds the shots of a clip, not of a prepared scene: choose another folder with -o.")
-    identity = stage_key(kind, fingerprint(source, config.input))
+    identity = identify(source, config)
     new: FoundShots | None = None
     if held is None:
         if out.exists() and any(out.iterdir()):
@@ -115,19 +117,23 @@ def _forget(out: Path) -> None:
 
 
 def _run_all(source: Path, out: Path, config: RunConfig) -> dict[str, dict[str, Any]]:
-    listed = read_shots(out)
-    assert listed is not None
+    listed = _read_shots(out)
     metrics: dict[str, dict[str, Any]] = {}
     for shot in listed.shots:
         report(f"Shot {shot.number} of {len(listed.shots)}: {shot.start:.2f} to {shot.end:.2f} s, in {shot.path}")
         metrics[shot.path.name] = run(source, shot.path, config_of(shot, config))
-        _write_report(out, source, listed)
-    if listed.places is None and len(listed.shots) > 1:
+        _write_report(out, source, _read_shots(out))
+    if _read_shots(out).places is None and len(listed.shots) > 1:
         write_places(out, _find_places(listed.shots))
-        listed = read_shots(out)
-        assert listed is not None
-        _write_report(out, source, listed)
+        _write_report(out, source, _read_shots(out))
     return metrics
+
+
+def _read_shots(out: Path) -> ShotList:
+    """Return the shots of a folder that holds some."""
+    listed = read_shots(out)
+    assert listed is not None
+    return listed
 
 
 def _find_places(shots: Sequence[Shot]) -> list[Place]:
@@ -142,7 +148,7 @@ def _write_report(out: Path, source: Path, listed: ShotList) -> None:
     pages = []
     for shot in listed.shots:
         paths = RunPaths(shot.path)
-        measured = read_metrics(paths.metrics_path) if paths.metrics_path.exists() else None
+        measured = find_metrics(RunFolder(shot.path)) if paths.record_path.exists() else None
         videos = list_rendered(paths.renders_path)
         video = choose_video(videos)
         posters = {} if video is None else read_posters(paths.renders_path, {video.shown: videos[video.shown]})
@@ -174,8 +180,7 @@ def word_next_steps(out: Path) -> Iterator[str]:
     Raises:
         InputError: the record of the shots is damaged.
     """
-    listed = read_shots(out)
-    assert listed is not None
+    listed = _read_shots(out)
     yield from listed.remarks
     folder, first = shlex.quote(str(out)), shlex.quote(str(listed.shots[0].path))
     yield f"  their report:    {RunPaths(out).report_path}"

@@ -109,7 +109,7 @@ def _estimate_seconds(config: RunConfig, width: int, height: int, train_frames: 
     # Seven tenths of what a step takes for its pixels are the Gaussians', of which large frames have fewer (bear at 854 pixels).
     spread = max(1.0, max(width, height) / SPACED_SIDE) ** (-2 * config.train.init.spacing_growth)
     train = steps * frames * (0.01 + 0.48 * megapixels * (0.3 + 0.7 * spread))
-    share = count_final_steps(steps, heldout) / steps if heldout else 0.0
+    share = count_final_steps(steps, heldout) / max(steps, 1) if heldout else 0.0
     final = share * train if config.final_fit else 0.0
     static = 0.25 * train if config.baselines == "all" else 0.0
     own = config.priors.priors != "true"  # what is true is there

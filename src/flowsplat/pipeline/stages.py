@@ -29,7 +29,17 @@ from flowsplat.output.videos import RenderOptions, are_rendered, name_of, read_s
 from flowsplat.pipeline.coarse import coarse_scene, is_worth_it
 from flowsplat.pipeline.compiling import compile_ahead
 from flowsplat.pipeline.config import RunConfig
-from flowsplat.pipeline.fitting import HISTORY, final_key, fit_heldout, one_color_model, static_model, train, train_key, wants_final
+from flowsplat.pipeline.fitting import (
+    HISTORY,
+    final_key,
+    fit_heldout,
+    is_trained,
+    one_color_model,
+    static_model,
+    train,
+    train_key,
+    wants_final,
+)
 from flowsplat.pipeline.folder import MetricsFile, RunFolder, stage_key
 from flowsplat.pipeline.preparing import prepare_folder
 from flowsplat.pipeline.shot_list import resolve_run
@@ -39,7 +49,7 @@ from flowsplat.priors.objects import load_objects
 from flowsplat.priors.objects.description import object_figures
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import Clip
-from flowsplat.training.checkpoint import has_model, load_model
+from flowsplat.training.checkpoint import check_scene, has_model, load_model
 
 _MAX_HISTORY_BYTES = 64 * 2**20
 """Bytes of the history of a training, at most. A round number."""
@@ -99,7 +109,7 @@ def load(path: Path | str, device: str = "cpu") -> SceneModel:
         device: what renders it: auto, cpu or cuda.
 
     Raises:
-        InputError: there is none, it is damaged, or the device does not work.
+        InputError: there is none, it is damaged or of a scene that was prepared anew since, or the device does not work.
 
     Examples:
         >>> model = flowsplat.load("out/clip")
@@ -115,7 +125,11 @@ def load(path: Path | str, device: str = "cpu") -> SceneModel:
     elif not (path / "model.json").exists():
         raise InputError(f"{path} holds no trained scene yet: run flowsplat train on it first.")
     model = load_model(path).to(pick_device(device))
-    return replace(model, viewpoint=_middle_of(run if run.record_path.exists() else RunPaths(path.parent)))
+    scene = _find_scene(run if run.record_path.exists() else RunPaths(path.parent))
+    if scene is None:
+        return model
+    check_scene(path, model, scene)
+    return replace(model, viewpoint=_middle_of(scene))
 
 
 def one_color_of(path: Path) -> Callable[[], SceneModel] | None:
@@ -124,10 +138,17 @@ def one_color_of(path: Path) -> Callable[[], SceneModel] | None:
     return (lambda: one_color_model(RunFolder(path))) if RunPaths(path).record_path.exists() else None
 
 
-def _middle_of(run: RunPaths) -> tuple[Camera, float] | None:
-    """Camera and time of the middle frame of a run's scene; None where it has none that can be read."""
+def _find_scene(run: RunPaths) -> Scene | None:
+    """Return the scene of a run; None where it has none that can be read."""
     try:
-        scene = Scene(run.scene_path)
+        return Scene(run.scene_path)
+    except InputError:
+        return None
+
+
+def _middle_of(scene: Scene) -> tuple[Camera, float] | None:
+    """Camera and time of the middle frame of a scene; None where its cameras cannot be read."""
+    try:
         middle = scene.num_frames // 2
         return scene.cameras[middle], float(scene.timestamps[middle])
     except InputError:
@@ -174,7 +195,7 @@ def evaluate_run(folder: RunFolder, lpips: Path | None = None) -> dict[str, Any]
 
 def _evaluate(folder: RunFolder, result: _Result, perceptual: PerceptualMetric | None = None) -> dict[str, Any]:
     pick_device(folder.config.device)
-    if folder.model_path.exists() and not folder.is_finished("train", train_key(folder)):
+    if folder.model_path.exists() and not is_trained(folder):
         raise InputError(f"{folder.model_path} was trained with other settings than those of the run: run flowsplat train first.")
     key = stage_key(train_key(folder), folder.config.baselines, folder.config.refine_poses)
     if folder.is_finished("evaluate", key) and folder.metrics_path.exists() and perceptual is None:
@@ -213,6 +234,15 @@ def _write_metrics(folder: RunFolder, result: _Result, metrics: dict[str, Any], 
     with spinner("Writing report.html"):
         data = report_data(folder.path, folder.record["input"], result.scene, result.flows, metrics, history, folder.config)
         write_report(folder.path, data)
+
+
+def find_metrics(folder: RunFolder) -> dict[str, Any] | None:
+    """Return the figures of the trained scene of a run; None where it was not measured yet, or is trained or prepared anew since.
+
+    Raises:
+        InputError: they are damaged.
+    """
+    return read_metrics(folder.metrics_path) if is_trained(folder) and folder.metrics_path.exists() else None
 
 
 def read_metrics(path: Path) -> dict[str, Any]:
@@ -272,7 +302,7 @@ def render_run(folder: RunFolder, options: RenderOptions | None = None) -> dict[
 
 
 def _render(folder: RunFolder, options: RenderOptions | None) -> dict[str, Any]:
-    if folder.is_finished("train", train_key(folder)) and not has_model(folder.model_path):
+    if is_trained(folder) and not has_model(folder.model_path):
         raise InputError(f"{folder.model_path} is gone: flowsplat train {folder.path} trains it again.")
     result = _Result(folder)
     metrics = _evaluate(folder, result)

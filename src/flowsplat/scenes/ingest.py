@@ -234,28 +234,36 @@ def _write_truth(clip: Clip, scene: Scene) -> None:
 def fingerprint(path: Path, options: InputOptions) -> str:
     """Return a short name of an input with its options, the same wherever the input lies: names, sizes and both ends of its files.
 
+    Of a prepared scene options change nothing. Its similarity follows from the rest, and is noted when it is first asked for.
+
     Raises:
         InputError: the input does not exist or is of no known kind.
     """
+    if kind_of_input(path) == "scene":
+        info = replace(Scene(path).info, similarity=None)
+        files = [(name, file) for name, file in _list_folder(Path(path)) if name != "scene.json"]
+        return hash_files(json.dumps(info.to_json(), sort_keys=True), files)
     return hash_files(json.dumps(to_plain(options), sort_keys=True), _list_input_files(Path(path), options))
 
 
 def _list_input_files(path: Path, options: InputOptions) -> list[tuple[str, Path]]:
     """Return the files that make up an input, with names that do not depend on where it lies."""
     kind = kind_of_input(path)
-    if kind == "scene":
-        raise InputError(ALREADY.format(path))
     if path.is_file():
         return [(path.name, path)]
     if kind not in ("davis", "images"):
-        # Whatever lies in the folder makes it up, but for runs that somebody put there.
-        runs = [record.parent for record in path.rglob(RunPaths(path).record_path.name)]
-        inside = (file for file in path.rglob("*") if not any(run in file.parents for run in runs))
-        found = sorted(file for file in inside if file.is_file() and not file.name.startswith("."))
-        named = [(file.relative_to(path).as_posix(), file) for file in found]
+        named = _list_folder(path)
         if kind == "nvidia" and not (path / RAW_IMAGES).is_dir():
             named += [(f"gt/{file.name}", file) for file in sorted(target_folder(path).glob(TARGET))]
         return named
     images, masks = sequence_folders(path, options.sequence) if kind == "davis" else _image_folders(path)
     named = [(f"images/{file.name}", file) for file in list_images(images)]
     return named + [(f"masks/{file.name}", file) for file in list_images(masks)] if masks else named
+
+
+def _list_folder(path: Path) -> list[tuple[str, Path]]:
+    """Return all files in a folder, hidden ones and those of runs that somebody put there excepted."""
+    runs = [record.parent for record in path.rglob(RunPaths(path).record_path.name)]
+    inside = (file for file in path.rglob("*") if not any(run in file.parents for run in runs))
+    found = sorted(file for file in inside if file.is_file() and not file.name.startswith("."))
+    return [(file.relative_to(path).as_posix(), file) for file in found]

@@ -26,6 +26,7 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.geometry import Similarity
 from flowsplat.geometry.cameras import MAX_COORDINATE
+from flowsplat.scenes import Scene
 
 MODEL_VERSION = 5
 _FOUND = ("seen", "shadow_free")
@@ -177,6 +178,19 @@ def load_model(folder: Path) -> SceneModel:
         )  # fmt: skip
     except (KeyError, TypeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{folder} does not hold a trained model: {error}.") from error
+
+
+def check_scene(path: Path, model: SceneModel, scene: Scene) -> None:
+    """Refuse the model of a scene that was prepared anew with others of its priors: cameras and depth have other coordinates now.
+
+    Args:
+        path: of the model, for the message.
+
+    Raises:
+        InputError: says what to do.
+    """
+    if scene.info.similarity != model.similarity.to_json():
+        raise InputError(f"{path} was trained before {scene.folder} was prepared anew: run flowsplat train on it again.")
 
 
 def _take_shared(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:

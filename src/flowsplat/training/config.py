@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import tyro
 from msgspec import Meta
 
-from flowsplat.common.bounds import Amount, AtLeastOne, Count, Fraction, Share, bounds_in_help, check_bounds
+from flowsplat.common.bounds import Amount, AtLeastOne, Count, Fraction, Positive, Share, bounds_in_help, check_bounds
 from flowsplat.common.errors import InputError
 from flowsplat.common.settings import LEFT_OUT_BY_DEFAULT
 from flowsplat.gaussians.flow import FlowModel
@@ -59,9 +59,9 @@ class RatesConfig:
     """Brightness inside a Gaussian, per standard deviation."""
     gains_falloff: Amount = 0.5
     """The k-th wave of brightness learns at k to the power of minus this of that rate."""
-    moving: Amount = 3.0
+    moving: Positive = 3.0
     """Factor for Gaussians that move: each is seen in a few frames only, so it is stepped less often."""
-    time_factor: Amount = field(default=1.0, metadata=LEFT_OUT_BY_DEFAULT)
+    time_factor: Positive = field(default=1.0, metadata=LEFT_OUT_BY_DEFAULT)
     """How many times as long the clip is as one that ``times`` and ``motion`` are meant for: center times learn so many times as
     slowly, and coefficients of a power of time that power of it faster, so that all is as fast in seconds."""
     means_decay: Amount = 0.01

@@ -8,7 +8,7 @@ import os
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import atomic_path, remove_partials, write_bytes, write_text
+from flowsplat.common.files import atomic_path, hash_files, read_json, remove_partials, write_bytes, write_json, write_text
 
 
 def test_what_killed_processes_left_goes_and_nothing_else(tmp_path):
@@ -38,6 +38,15 @@ def test_why_a_file_cannot_be_written_is_one_line_and_nothing_is_left(tmp_path, 
         fail()
     assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
     assert (tmp_path / "a.txt").read_text() == "before"
+
+
+def test_names_of_files_that_are_no_text_can_be_written_and_read(tmp_path):
+    names = [os.fsdecode(b"a\xff.png"), "b\u00e4.png"]
+    write_json(tmp_path / "a.json", {names[0]: names[1]})
+    assert read_json(tmp_path / "a.json") == {r"a\udcff.png": names[1]}
+    for name in names:
+        write_text(tmp_path / name, "x")
+    assert hash_files("", [(names[0], tmp_path / names[0])]) != hash_files("", [(names[1], tmp_path / names[0])])
 
 
 def test_devices_and_pipes_are_not_replaced(tmp_path):

@@ -190,6 +190,7 @@ def change_json(path: Path, **values) -> None:
 BROKEN = {
     "truncated poses": ("raw", lambda f: truncate(f / "poses_bounds.npy"), "damaged or truncated"),
     "a time is missing": ("raw", lambda f: shutil.rmtree(f / "mv_images" / "00001"), "without a gap"),
+    "a time is no number": ("raw", lambda f: (f / "mv_images" / "00001").rename(f / "mv_images" / "²"), "without a gap"),
     "no times": ("raw", lambda f: [shutil.rmtree(p) for p in (f / "mv_images").iterdir()], "without a gap"),
     "a camera is missing": ("raw", lambda f: (f / "mv_images/00001/cam07.jpg").unlink(), "cam07.jpg is missing"),
     "too few rows": ("raw", lambda f: np.save(f / "poses_bounds.npy", np.load(f / "poses_bounds.npy")[:7]), "7 rows"),

@@ -20,6 +20,7 @@ from flowsplat.common.files.opening import ordinary_file
 from flowsplat.common.process_control import is_running
 
 _PARTIAL = re.compile(r"\..+\.([0-9]{1,9})\.partial(\.[^.]+)?")
+_NO_TEXT = re.compile(r"[\ud800-\udfff]")
 _HASHED_EDGE_BYTES = 65536
 """Bytes at both ends of a file that enter its hash. Chosen by eye."""
 
@@ -122,7 +123,7 @@ def hash_files(start: str, files: Iterable[tuple[str, Path]], whole: bool = Fals
     for name, file in files:
         size = ordinary_file(file)
         try:
-            digest.update(f"\n{name} {size} ".encode())
+            digest.update(b"\n" + os.fsencode(name) + f" {size} ".encode())
             with open(file, "rb") as opened:
                 left = size if whole else _HASHED_EDGE_BYTES
                 while left > 0 and (data := opened.read(min(left, _HASHED_EDGE_BYTES))):  # a whole one may be gigabytes
@@ -147,7 +148,11 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write indented JSON atomically; NumPy scalars and arrays become numbers and lists. NaN is refused."""
+    """Write indented JSON atomically; NumPy scalars and arrays become numbers and lists. NaN is refused.
+
+    Bytes of a file's name that are no text (lone surrogates, as Python has them) are written out, ``\\udcff``: no reader of JSON
+    would take them.
+    """
 
     def plain(item: Any) -> Any:
         if isinstance(item, np.ndarray):
@@ -158,7 +163,8 @@ def write_json(path: Path, value: Any) -> None:
             return str(item)
         raise TypeError(f"cannot write {type(item).__name__} as JSON")
 
-    write_text(path, json.dumps(value, indent=1, default=plain, allow_nan=False, ensure_ascii=False) + "\n")
+    text = json.dumps(value, indent=1, default=plain, allow_nan=False, ensure_ascii=False)
+    write_text(path, _NO_TEXT.sub(lambda found: f"\\\\u{ord(found[0]):04x}", text) + "\n")
 
 
 def require_keys(path: Path, value: Mapping[str, Any], *keys: str) -> None:

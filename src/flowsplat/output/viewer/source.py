@@ -32,7 +32,7 @@ from flowsplat.output.videos.amplitudes import SWING_ANGLES
 from flowsplat.output.videos.writing import Scales
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import Tracks
-from flowsplat.training.checkpoint import has_model, load_checkpoint, load_model
+from flowsplat.training.checkpoint import check_scene, has_model, load_checkpoint, load_model
 
 
 class Loaded:
@@ -80,7 +80,8 @@ class Source:
         """Open a run; ``device``: where its models are rendered.
 
         Raises:
-            InputError: it is none, or has neither a model nor a checkpoint nor a coarse scene yet.
+            InputError: it is none, has neither a model nor a checkpoint nor a coarse scene yet, or was prepared anew after
+                its training.
         """
         self.folder, self._device, self._run = Path(folder), device, RunPaths(folder)
         if not self._run.record_path.exists():
@@ -243,4 +244,6 @@ class Source:
 
 
 def _read_model(path: Path, state: str, scene: Scene) -> tuple[SceneModel, str]:
-    return load_model(path), state
+    model = load_model(path)
+    check_scene(path, model, scene)
+    return model, state

@@ -73,7 +73,7 @@ def _llff_camera(pose: np.ndarray, where: str) -> Camera:
 
 
 def _open_raw(folder: Path, options: InputOptions, cameras: list[Camera]) -> PosedClip:
-    times = sorted(int(path.name) for path in (folder / RAW_IMAGES).iterdir() if path.is_dir() and path.name.isdigit())
+    times = sorted(int(path.name) for path in (folder / RAW_IMAGES).iterdir() if path.is_dir() and path.name.isdecimal())
     if times != list(range(len(times))) or not times:
         raise InputError(f"{folder / RAW_IMAGES} must hold a folder for every time, 00000, 00001 and so on without a gap.")
     if len(cameras) != CAMERAS and len(cameras) < max(len(times), CAMERAS):
