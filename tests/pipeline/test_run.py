@@ -293,12 +293,43 @@ def test_figures_are_not_of_a_scene_that_was_prepared_anew(tiny_scene, finished,
     prepare(tiny_scene, folder.path, replace(config, priors=replace(config.priors, mask_click=("10,10@0",))))
     told = list(describe(folder.path))
     assert "  train: not finished" in told
-    assert any("it is of another scene or of other settings" in line for line in told)
+    assert any("it is of the scene before it was prepared anew" in line for line in told)
     assert not any("PSNR" in line for line in told)
     with pytest.raises(InputError, match="not measured yet"):
         _ = flowsplat.Run(folder.path).metrics
     prepare(tiny_scene, folder.path, config)
     assert flowsplat.Run(folder.path).metrics == json.loads((finished / "metrics.json").read_text())
+
+
+def test_figures_of_an_earlier_version_are_shown(finished, tmp_path):
+    """A later version has more settings, and other keys for that."""
+    folder = RunFolder(shutil.copytree(finished, tmp_path / "out"))
+    stages = folder.record["stages"]
+    for name in ("train", "evaluate"):
+        stages[name]["key"] = "0123456789abcdef"
+        del stages[name]["scene"]
+    folder.save()
+    assert "heldout_frames" in flowsplat.Run(folder.path).metrics
+    assert any("PSNR" in line for line in describe(folder.path))
+
+
+def test_seconds_of_a_stage_that_was_stopped_count(tiny_scene, tmp_path, monkeypatch):
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(preparing, "write_priors_report", stop)
+        with pytest.raises(KeyboardInterrupt):
+            prepare(tiny_scene, tmp_path / "out", small_config())
+    noted = RunFolder(tmp_path / "out").record["unfinished"]["prepare"]
+    assert noted["flow"] > 0
+    prepare(tiny_scene, tmp_path / "out", small_config())
+    folder = RunFolder(tmp_path / "out")
+    assert {name: folder.seconds[name] for name in noted if name != "ingest"} == {
+        name: took for name, took in noted.items() if name != "ingest"
+    }
+    assert folder.seconds["ingest"] > noted["ingest"]
+    assert "prepare" not in folder.record["unfinished"]
 
 
 def test_a_model_is_not_shown_in_a_scene_that_was_prepared_anew(finished, tmp_path):

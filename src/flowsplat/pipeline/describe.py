@@ -16,7 +16,6 @@ from flowsplat.common.files.lease import holder
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.images.html import NOTHING
 from flowsplat.output.verdict import verdict
-from flowsplat.pipeline.fitting import is_trained
 from flowsplat.pipeline.folder import MetricsFile, RunFolder
 from flowsplat.pipeline.shot_list import ShotList, read_shots
 from flowsplat.priors.graph import PRIORS
@@ -77,7 +76,7 @@ def _describe_run(folder: RunFolder) -> Iterator[str]:
     yield f"Run {folder.path} of {folder.record['input']}"
     if (who := holder(folder.path)) is not None:
         yield f"  is being written by {who}"
-    trained = is_trained(folder)
+    trained = folder.is_of_scene("train")
     for stage in ("coarse", "prepare", "train", "evaluate", "all_frames", "render"):
         entry = folder.record["stages"].get(stage)
         if (stage == "all_frames" and not folder.config.final_fit) or (stage == "coarse" and entry is None):
@@ -100,7 +99,7 @@ def _describe_run(folder: RunFolder) -> Iterator[str]:
         if value.get("objects"):
             yield "  Gaussians of the objects: " + ", ".join(f"{count:,} of {number}" for number, count in value["objects"].items())
         if not trained:
-            yield f"  model: it is of another scene or of other settings; flowsplat train {folder.path} trains it again"
+            yield f"  model: it is of the scene before it was prepared anew; flowsplat train {folder.path} trains it again"
     elif trained:
         yield f"  model: {folder.model_path} is gone; flowsplat train {folder.path} trains it again"
     if (folder.scene_path / "scene.json").exists():

@@ -54,7 +54,7 @@ def train_key(folder: RunFolder) -> str:
 
 
 def is_trained(folder: RunFolder) -> bool:
-    """Return whether the model of a run is of its scene and settings, so that what was made of it still counts."""
+    """Return whether the model of a run is of its scene and of its settings as this version reads them."""
     return folder.is_finished("train", train_key(folder))
 
 

@@ -56,6 +56,7 @@ class StageFile(TypedDict):
     seconds: dict[str, Seconds]
     peak_memory_gib: NotRequired[Number | None]
     parts_memory_gib: NotRequired[dict[str, Number | None]]
+    scene: NotRequired[Text | None]
 
 
 class RunFile(TypedDict):
@@ -66,6 +67,7 @@ class RunFile(TypedDict):
     config: dict[str, Any]
     started: dict[str, Text]
     stages: dict[str, StageFile]
+    unfinished: NotRequired[dict[str, dict[str, Seconds]]]
     wall_seconds: Seconds
 
 
@@ -151,6 +153,16 @@ class Stage:
     def __init__(self, folder: RunFolder, name: str, key: str, is_done: bool):
         self.is_done, self._folder, self._name, self._key = is_done, folder, name, key
         self._started = time.perf_counter()
+        self._earlier: dict[str, float] = folder.record.setdefault("unfinished", {}).get(name, {})
+
+    def note(self, seconds: Mapping[str, float]) -> None:
+        """Note what parts of it took so far, so that it counts when it goes on another time."""
+        self._folder.record["unfinished"][self._name] = self._add_earlier(seconds)
+        self._folder.save()
+
+    def _add_earlier(self, seconds: Mapping[str, float]) -> dict[str, float]:
+        parts = {**self._earlier, **seconds}
+        return {name: round(self._earlier.get(name, 0.0) + seconds.get(name, 0.0), 2) for name in parts}
 
     @property
     def seconds(self) -> dict[str, float]:
@@ -161,10 +173,11 @@ class Stage:
         """Note that it is finished.
 
         Args:
-            seconds: of its parts; None = all since it began.
+            seconds: of its parts, to which that is added which was noted before it was stopped; None = all since it began.
             memory: GiB that parts of it needed, where its memory was counted anew for each.
         """
-        self._folder._finish(self._name, self._key, self.seconds if seconds is None else seconds, memory)
+        took = self._add_earlier(self.seconds if seconds is None else seconds)
+        self._folder._finish(self._name, self._key, took, memory)
 
 
 class RunFolder(RunPaths):
@@ -231,14 +244,25 @@ class RunFolder(RunPaths):
         """Return whether a stage was finished with exactly this key."""
         return bool(self.record["stages"].get(stage, {}).get("key") == key)
 
+    def is_of_scene(self, stage: str) -> bool:
+        """Return whether a stage was finished, with whatever settings, and the scene was not prepared anew since."""
+        entry = self.record["stages"].get(stage)
+        return entry is not None and entry.get("scene", self._scene_key) == self._scene_key
+
+    @property
+    def _scene_key(self) -> str | None:
+        """The key with which the scene was prepared; None while it is not finished."""
+        key: str | None = self.record["stages"].get("prepare", {}).get("key")
+        return key
+
     def was_started(self, stage: str, key: str) -> bool:
         """Return whether a stage was begun with exactly this key, so that what it left can be used."""
         return bool(self.record["started"].get(stage) == key)
 
     def forget(self, stage: str) -> None:
         """Note that nothing of a stage can be used: to be said before any of it is deleted."""
-        self.record["stages"].pop(stage, None)
-        self.record["started"].pop(stage, None)
+        for known in ("stages", "started", "unfinished"):
+            self.record.get(known, {}).pop(stage, None)
         self.save()
 
     @contextlib.contextmanager
@@ -271,10 +295,10 @@ class RunFolder(RunPaths):
             self.save()
         yield Stage(self, name, key, is_done)
 
-    def _finish(self, stage: str, key: str, seconds: Mapping[str, float], parts: Mapping[str, float | None] | None) -> None:
-        took = {name: round(value, 2) for name, value in seconds.items()}
+    def _finish(self, stage: str, key: str, took: Mapping[str, float], parts: Mapping[str, float | None] | None) -> None:
         peak = max((gib for gib in (get_recent_peak(), *(parts or {}).values()) if gib is not None), default=None)
-        self.record["stages"][stage] = {"key": key, "seconds": took, "peak_memory_gib": peak}
+        self.record["unfinished"].pop(stage, None)
+        self.record["stages"][stage] = {"key": key, "seconds": dict(took), "peak_memory_gib": peak, "scene": self._scene_key}
         if parts:
             self.record["stages"][stage]["parts_memory_gib"] = dict(parts)
         self.save()

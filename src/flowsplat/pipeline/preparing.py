@@ -174,13 +174,14 @@ def _compute_scene(
         show()
 
     memory: dict[str, float | None] = {}
-    watch = Watch()
+    watch, parts = Watch(), {"ingest": ingested}
 
     def after(prior: str, took: float) -> None:
         memory[prior] = get_recent_peak()
         give_back_memory()
         begin_peak()
-        folder.save()
+        parts[prior] = took
+        stage.note(parts)
         if prior == "cameras":
             if took >= MIN_OWN_SECONDS and reference["cameras"] > 0 and watch.was_quiet() and not compiling:
                 speed.note(took / reference["cameras"])

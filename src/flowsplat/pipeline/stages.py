@@ -239,10 +239,12 @@ def _write_metrics(folder: RunFolder, result: _Result, metrics: dict[str, Any], 
 def find_metrics(folder: RunFolder) -> dict[str, Any] | None:
     """Return the figures of the trained scene of a run; None where it was not measured yet, or is trained or prepared anew since.
 
+    Those of settings that an earlier version had count.
+
     Raises:
         InputError: they are damaged.
     """
-    return read_metrics(folder.metrics_path) if is_trained(folder) and folder.metrics_path.exists() else None
+    return read_metrics(folder.metrics_path) if folder.is_of_scene("train") and folder.metrics_path.exists() else None
 
 
 def read_metrics(path: Path) -> dict[str, Any]:
