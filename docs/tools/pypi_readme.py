@@ -1,6 +1,6 @@
 """The README with absolute links, as PyPI needs it, where files beside it are not there.
 
-    python docs/tools/pypi_readme.py https://example.org/blob/v0.1.0 https://example.org/raw/v0.1.0 > out/README.md
+    python docs/tools/pypi_readme.py https://example.org/blob/v0.2.0 https://example.org/raw/v0.2.0 > out/README.md
 
 The first address is that of pages, the second that of images.
 """

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from flowsplat.splatting import rasterize as rasterize
     from flowsplat.training.trainer import Trainer as Trainer
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Where each public name is: importing flowsplat is quick, and what is used is loaded when it is used.
 _PUBLIC = {

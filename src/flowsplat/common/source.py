@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1]
 
 @cache
 def source_state() -> str:
-    """Return the version and a hash of all Python files of the package, as in ``0.1.0+1f0c63a9``."""
+    """Return the version and a hash of all Python files of the package, as in ``0.2.0+1f0c63a9``."""
     digest = hashlib.sha256()
     for path in sorted(PACKAGE.rglob("*.py")):
         digest.update(path.relative_to(PACKAGE).as_posix().encode())
