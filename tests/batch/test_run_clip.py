@@ -43,6 +43,13 @@ def test_a_clip_that_changed_is_done_anew(tmp_path, capsys):
     assert "scene is not what it was" in capsys.readouterr().err
     assert second["fingerprint"] != first["fingerprint"]
     assert not (tmp_path / "clip" / "export").exists()
+    assert not list(tmp_path.glob(".*.before"))
+    made = (tmp_path / "clip" / "metrics.json").read_bytes()
+    scenes[0].write_frame(0, 255 - scenes[0].frame(0))
+    wrong = replace(config, render=replace(config.render, bullet_time=1e6))
+    with pytest.raises(InputError, match="bullet"):
+        run_clip(replace(clip, config=wrong), tmp_path, None, ATTEMPT)
+    assert (tmp_path / "clip" / "metrics.json").read_bytes() == made, "what cannot be done anew costs nothing"
     with pytest.raises(InputError, match="belongs to a different input"):  # and not because another clip is called so
         run_clip(replace(clip, path=scenes[1].folder), tmp_path, None, ATTEMPT)
     assert Path(tmp_path / "clip" / "metrics.json").exists()

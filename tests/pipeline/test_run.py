@@ -301,6 +301,18 @@ def test_figures_are_not_of_a_scene_that_was_prepared_anew(tiny_scene, finished,
     assert flowsplat.Run(folder.path).metrics == json.loads((finished / "metrics.json").read_text())
 
 
+def test_a_scene_that_came_out_otherwise_is_trained_on_again(tiny_scene, finished, tmp_path):
+    """As where another version or machine prepared it anew, with the same settings."""
+    folder = RunFolder(shutil.copytree(finished, tmp_path / "out"))
+    scene = Scene(folder.scene_path)
+    for scale, is_done in ((1 + 1e-9, True), (1.5, False)):
+        scene.write_similarity(replace(scene.similarity, scale=scale * scene.similarity.scale))
+        before = (folder.model_path / "model.json").stat().st_mtime_ns
+        train(RunFolder(folder.path))
+        assert ((folder.model_path / "model.json").stat().st_mtime_ns == before) is is_done
+        flowsplat.load(folder.path)
+
+
 def test_figures_of_an_earlier_version_are_shown(finished, tmp_path):
     """A later version has more settings, and other keys for that."""
     folder = RunFolder(shutil.copytree(finished, tmp_path / "out"))

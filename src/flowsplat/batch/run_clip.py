@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import platform
+import shutil
 import statistics
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,7 +22,8 @@ from flowsplat.batch.clips import BatchClip
 from flowsplat.batch.records import FOLDER
 from flowsplat.batch.upload import upload
 from flowsplat.batch.work import Attempt, Job
-from flowsplat.common.files import atomic_path, lease, read_json
+from flowsplat.common.errors import InputError, InUseError
+from flowsplat.common.files import as_written, atomic_path, lease, read_json
 from flowsplat.common.progress import report
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.source import source_state
@@ -32,7 +35,7 @@ from flowsplat.output.videos.shown import choose_video
 from flowsplat.pipeline import run
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.folder import RunFolder, stage_key
-from flowsplat.pipeline.preparing import clear_folder, identify
+from flowsplat.pipeline.preparing import identify
 from flowsplat.pipeline.shot_list import ShotsFile
 from flowsplat.pipeline.shots import run_shots
 from flowsplat.pipeline.speed import estimate_memory
@@ -89,10 +92,10 @@ def run_clip(clip: BatchClip, out: Path, copies: str | None, attempt: Attempt) -
         config = fewer_gaussians(config)
     folder = out / clip.id
     config = replace(config, coarse_scene=False)  # nobody looks meanwhile
-    _clear_if_changed(clip.path, folder, config)
-    shots = run_shots(clip.path, folder, config)
+    with _keep_while_changed(clip.path, folder, config):
+        shots = run_shots(clip.path, folder, config)
+        metrics = run(clip.path, folder, config) if shots is None else {}
     if shots is None:
-        metrics = run(clip.path, folder, config)
         first, words, of_all, fingerprint = folder, verdict(metrics), [metrics], RunFolder(folder).fingerprint
     else:
         first, of_all = RunPaths(folder).shots_path / next(iter(shots)), list(shots.values())
@@ -107,20 +110,32 @@ def run_clip(clip: BatchClip, out: Path, copies: str | None, attempt: Attempt) -
     }  # fmt: skip
 
 
-def _clear_if_changed(path: Path, folder: Path, config: RunConfig) -> None:
-    """Take out of the folder of a clip what was made of it when other files were there, or others of its frames were taken.
+@contextmanager
+def _keep_while_changed(path: Path, folder: Path, config: RunConfig) -> Iterator[None]:
+    """Put what was made of a clip aside where other files are there now, or others of its frames are taken: it goes when the clip
+    was done anew, and comes back where that turns out to be impossible.
 
     Raises:
         InputError: the clip cannot be used, or the folder is damaged; or as ``lease``.
     """
-    run = RunPaths(folder)
-    if not run.holds_run:
-        return
-    before = RunFolder(folder).record if run.record_path.exists() else read_json(run.shots_record_path, ShotsFile)
-    if before["input"] == str(path) and before["fingerprint"] != identify(path, config):  # that of another clip is refused
-        report(f"{path} is not what it was, or other frames of it are taken: its run begins anew, and the one before goes.")
-        with lease(folder):
-            clear_folder(folder)
+    run, aside = RunPaths(folder), folder.with_name(f".{folder.name}.before")
+    if run.holds_run and not folder.resolve().is_relative_to(path.resolve()):  # what is written there would be a change
+        before = RunFolder(folder).record if run.record_path.exists() else read_json(run.shots_record_path, ShotsFile)
+        is_same_clip = before["input"] == as_written(str(path))  # that of another clip is refused
+        if is_same_clip and before["fingerprint"] != identify(path, config):
+            report(f"{path} is not what it was, or other frames of it are taken: its run begins anew.")
+            with lease(folder):
+                pass  # nobody else writes it
+            shutil.rmtree(aside, ignore_errors=True)
+            folder.rename(aside)
+    try:
+        yield
+    except InputError as error:
+        if aside.exists() and not isinstance(error, InUseError):
+            shutil.rmtree(folder, ignore_errors=True)
+            aside.rename(folder)
+        raise
+    shutil.rmtree(aside, ignore_errors=True)
 
 
 def _describe(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

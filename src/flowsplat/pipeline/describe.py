@@ -98,7 +98,7 @@ def _describe_run(folder: RunFolder) -> Iterator[str]:
         yield f"  model: {value['gaussians']:,} Gaussians, {value['dynamic']:,} of them move"
         if value.get("objects"):
             yield "  Gaussians of the objects: " + ", ".join(f"{count:,} of {number}" for number, count in value["objects"].items())
-        if not trained:
+        if "train" in folder.record["stages"] and not trained:
             yield f"  model: it is of the scene before it was prepared anew; flowsplat train {folder.path} trains it again"
     elif trained:
         yield f"  model: {folder.model_path} is gone; flowsplat train {folder.path} trains it again"

@@ -30,7 +30,7 @@ from flowsplat.priors.heldout import heldout_flow
 from flowsplat.priors.kinds.flow import flow_estimator
 from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.layers import Layers, write_image
-from flowsplat.training.checkpoint import has_model, load_model, save_model
+from flowsplat.training.checkpoint import fits_scene, has_model, load_model, save_model
 from flowsplat.training.clip_length import adapt_to_length
 from flowsplat.training.config import TrainConfig, select_result_settings
 from flowsplat.training.final import final_config, final_visits, with_heldout
@@ -74,6 +74,12 @@ def _train(folder: RunFolder) -> SceneModel:
         raise InputError(f"{folder.path} is not prepared yet: run flowsplat prepare first.")
     check(folder.config)  # before anything is deleted
     key = train_key(folder)
+    if (
+        is_trained(folder)
+        and has_model(folder.model_path)
+        and not fits_scene(load_model(folder.model_path), Scene(folder.scene_path))
+    ):
+        folder.forget("train")  # the scene was prepared anew with the same settings, by another version or machine say
     if not is_trained(folder) and not folder.was_started("train", key):
         if folder.model_path.exists() or folder.training_path.exists():
             report("The settings of training, or the scene, are others than before: it begins anew.")

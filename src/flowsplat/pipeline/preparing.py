@@ -160,7 +160,7 @@ def _compute_scene(
         check_places(scene, config.priors)
     except InputError:
         if is_new:
-            clear_folder(folder.path)
+            _clear(folder.path)
         raise
     for note in scene.info.notes:
         report(note)
@@ -192,7 +192,7 @@ def _compute_scene(
         seconds = prepare_priors(scene, config.priors, config.device, after)
     except InputError:
         if is_new and all(name in had or how.get("method") in BROUGHT for name, how in scene.info.priors.items()):
-            clear_folder(folder.path)
+            _clear(folder.path)
         raise
     with spinner("Writing priors.html"):
         page = write_priors_report(folder.path, scene, seconds)
@@ -202,9 +202,8 @@ def _compute_scene(
     stage.finish({"ingest": ingested, **seconds}, memory)
 
 
-def clear_folder(out: Path) -> None:
-    """Take everything out of a folder of a run, as where nothing was computed for it; it goes with its lease where it was made for
-    it."""
+def _clear(out: Path) -> None:
+    """Take everything out of a folder of a run that nothing was computed for; it goes with its lease where it was made for it."""
     for entry in out.iterdir():
         if entry.is_dir() and not entry.is_symlink():
             shutil.rmtree(entry, ignore_errors=True)

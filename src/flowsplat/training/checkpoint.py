@@ -33,6 +33,8 @@ _FOUND = ("seen", "shadow_free")
 """What is found when training ends, where it was."""
 _SHARED_PREFIX = "shared."
 """Before the names of parameters that Gaussians share, which are no rows."""
+_SIMILARITY_TOLERANCE = 1e-6
+"""By how much numbers of one similarity may differ, relatively or in all. Chosen by eye."""
 _MAX_LOG = 80.0
 """Logarithm of what still is a float32."""
 _MAX_LOG_GAIN = 40.0
@@ -180,6 +182,17 @@ def load_model(folder: Path) -> SceneModel:
         raise InputError(f"{folder} does not hold a trained model: {error}.") from error
 
 
+def fits_scene(model: SceneModel, scene: Scene) -> bool:
+    """Return whether a model is in the coordinates of a scene, but for last digits: those of another machine may be others."""
+    if scene.info.similarity is None:
+        return False
+    ours, its = (
+        np.concatenate([np.ravel(each["rotation"]), np.ravel(each["translation"]), [each["scale"]]])
+        for each in (model.similarity.to_json(), scene.info.similarity)
+    )
+    return bool(np.allclose(ours, its, rtol=_SIMILARITY_TOLERANCE, atol=_SIMILARITY_TOLERANCE))
+
+
 def check_scene(path: Path, model: SceneModel, scene: Scene) -> None:
     """Refuse the model of a scene that was prepared anew with others of its priors: cameras and depth have other coordinates now.
 
@@ -189,7 +202,7 @@ def check_scene(path: Path, model: SceneModel, scene: Scene) -> None:
     Raises:
         InputError: says what to do.
     """
-    if scene.info.similarity != model.similarity.to_json():
+    if not fits_scene(model, scene):
         raise InputError(f"{path} was trained before {scene.folder} was prepared anew: run flowsplat train on it again.")
 
 

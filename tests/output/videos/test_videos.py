@@ -157,13 +157,13 @@ def test_a_camera_file(scene, tmp_path):
     assert [name for name in list_rendered(tmp_path) if not name.endswith("_color")] == ["custom_path_path", "custom_path_my-2nd"]
 
 
-@pytest.mark.parametrize("name", ["path_color", "at_distance_2", "ü" * 100, "𝒫" * 40 + "_slow"])
+@pytest.mark.parametrize("name", ["path_color", "at_distance_2", "ü" * 100, "𝒫" * 40 + "_slow", "_" * 80])
 def test_any_name_of_a_camera_file(scene, tmp_path, name):
-    for file in (name, "path"):
+    for file in (name, name.replace("_", "-") + "2", "path"):
         write_camera_file(tmp_path / f"{file}.json", [(scene.cameras[0].resize(32, 24), 0.0)], fps=5)
         render_videos(Plane(), scene, tmp_path / "out", RenderOptions(paths=(), camera_file=tmp_path / f"{file}.json"))
     rendered = list_rendered(tmp_path / "out")
-    assert len(rendered) == 4, "two videos of each"
+    assert len(rendered) == 6, "two videos of each"
     assert sorted(rendered.values()) == sorted(file.name for file in (tmp_path / "out").glob("*.mp4"))
 
 

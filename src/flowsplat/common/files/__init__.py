@@ -14,6 +14,7 @@ from flowsplat.common.files.names import plain_name
 from flowsplat.common.files.opening import ordinary_file, read_bytes, read_text
 from flowsplat.common.files.rows import read_rows
 from flowsplat.common.files.writing import (
+    as_written,
     atomic_path,
     hash_files,
     make_folder,
@@ -28,6 +29,7 @@ from flowsplat.common.files.zip_file import list_zip, read_zip
 
 __all__ = [
     "Claims",
+    "as_written",
     "atomic_path",
     "check_json",
     "hash_files",

@@ -167,6 +167,11 @@ def write_json(path: Path, value: Any) -> None:
     write_text(path, _NO_TEXT.sub(lambda found: f"\\\\u{ord(found[0]):04x}", text) + "\n")
 
 
+def as_written(name: str) -> str:
+    """Return what ``read_json`` gives back of a name that ``write_json`` wrote: the same, but where bytes of it are no text."""
+    return _NO_TEXT.sub(lambda found: f"\\u{ord(found[0]):04x}", name)
+
+
 def require_keys(path: Path, value: Mapping[str, Any], *keys: str) -> None:
     """Refuse an object of a JSON file that lacks something.
 

@@ -21,8 +21,8 @@ MAX_DISTANCE = 1000.0
 def bring_strays_near(model: SceneModel, to: str) -> SceneModel:
     """Return the scene with everything within ``MAX_DISTANCE``, and tell how many Gaussians were not; itself where all are.
 
-    What rests comes nearer and becomes smaller by the same factor, so that it looks the same from the clip's cameras; what moves is
-    left out.
+    What rests comes nearer and becomes smaller by the same factor, so that it looks the same from the clip's cameras; what moves,
+    or could (all where the background is not kept still), is left out.
 
     Args:
         model: the scene.
@@ -41,7 +41,7 @@ def bring_strays_near(model: SceneModel, to: str) -> SceneModel:
         kept = torch.ones_like(far)
         kept[moving] = False
         gaussians = gaussians.select(torch.nonzero(kept).squeeze(1))
-        told.append(f"{len(moving):,} that move are left out")
+        told.append(f"{len(moving):,} that move, or could, are left out")
     report(f"{to} cannot hold Gaussians beyond {MAX_DISTANCE:,.0f} times the median depth: {'; '.join(told)}.")
     return replace(model, gaussians=gaussians)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -186,9 +187,13 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
 
 
 def name_of(camera_file: Path) -> str:
-    """Return what a camera file is called, as a part of the names of its videos: without ``_``, after which such a name says what
-    else a video is, and not longer than a file's name can be with that behind it."""
-    return re.sub(r"[^\w.-]|_", "-", camera_file.stem).encode()[:_MAX_CAMERA_NAME_BYTES].decode(errors="ignore")
+    """Return what a camera file is called, as a part of the names of its videos: ``--`` for ``_``, after which such a name says
+    what else a video is, and not longer than a file's name can be with that behind it."""
+    name = re.sub(r"[^\w.-]", "-", camera_file.stem).replace("_", "--")
+    if len(name.encode()) <= _MAX_CAMERA_NAME_BYTES:
+        return name
+    digest = hashlib.sha256(name.encode()).hexdigest()[:6]
+    return f"{name.encode()[: _MAX_CAMERA_NAME_BYTES - 7].decode(errors='ignore')}-{digest}"
 
 
 def _require_objects(objects: PartedRenderer, plan: VideoPlan, part: Part) -> None:
