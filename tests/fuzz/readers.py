@@ -137,7 +137,8 @@ def _run(folder: Path) -> None:
     obj = DynamicObject(1, np.zeros(frames), np.full((frames, 2), 20.0), 0.1, False, cues, points, 0.05)
     save_objects(scene, SceneObjects([obj], np.array([0.0, -1.0, 0.0]), True))
     assert scene.similarity
-    save_model(folder / "model", replace(small_model(resting=60, moving=30), first=0.0, last=float(scene.timestamps[-1])))
+    model = small_model(resting=60, moving=30)
+    save_model(folder / "model", replace(model, first=0.0, last=float(scene.timestamps[-1]), similarity=scene.similarity))
     write_json(folder / "metrics.json", _figures(SPEC.frames))
     history = [{"step": k, "psnr": 20.0 + k, "loss": 0.1 / k, "flow": 0.1} for k in (1, 2, 3)]
     write_json(folder / "training" / "history.json", history)
