@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterable
@@ -154,6 +155,7 @@ def _growth(cell: Cell, root: Path, work: Path) -> Figures:
 def _demo(cell: Cell, root: Path, work: Path) -> Figures:
     """Time the command as a user gives it. Its kernels are compiled already where another cell came before."""
     folder = work / cell.name
+    shutil.rmtree(folder, ignore_errors=True)  # of an earlier measurement: the command would find all of it done
     began = read_clock()
     done = subprocess.run(
         [sys.executable, "-c", "from flowsplat.cli import main; main()", "demo", "-o", str(folder)], capture_output=True, text=True,

@@ -377,12 +377,15 @@ def test_the_demo_takes_what_its_process_does(tmp_path, monkeypatch, is_counted)
     """By the processor its own seconds count, by the clock those that it was waited for."""
 
     def work(command, **_):
-        folder = make_folder(Path(command[-1]) / "own")
+        folder = Path(command[-1]) / "own"
+        assert not folder.exists(), "what was made before would be gone on with"
+        make_folder(folder)
         subprocess.run([sys.executable, "-c", "import time\nwhile time.process_time() < 0.6: pass"], check=True)
         write_json(folder / "metrics.json", {"peak_memory_gib": 1.5})
         return SimpleNamespace(returncode=0)
 
     monkeypatch.setattr(jobs, "subprocess", SimpleNamespace(run=work))
+    make_folder(tmp_path / "demo_street_seed0" / "own")
     with by_the_processor() if is_counted else nullcontext():
         found = jobs.measure_cell(Cell("demo", "street", "", 0, 1.0), tmp_path, tmp_path)
     assert 0.5 < found["seconds"]["whole"] < 30
