@@ -74,11 +74,8 @@ def _train(folder: RunFolder) -> SceneModel:
         raise InputError(f"{folder.path} is not prepared yet: run flowsplat prepare first.")
     check(folder.config)  # before anything is deleted
     key = train_key(folder)
-    if (
-        is_trained(folder)
-        and has_model(folder.model_path)
-        and not fits_scene(load_model(folder.model_path), Scene(folder.scene_path))
-    ):
+    model = load_model(folder.model_path) if is_trained(folder) and has_model(folder.model_path) else None
+    if model is not None and not fits_scene(model, Scene(folder.scene_path)):
         folder.forget("train")  # the scene was prepared anew with the same settings, by another version or machine say
     if not is_trained(folder) and not folder.was_started("train", key):
         if folder.model_path.exists() or folder.training_path.exists():
@@ -91,7 +88,8 @@ def _train(folder: RunFolder) -> SceneModel:
     drops = ("all_frames", "one_color", "evaluate", "render")
     with folder.stage("train", key, owns, drops, made=has_model(folder.model_path)) as stage:
         if stage.is_done:
-            return load_model(folder.model_path).to(pick_device(folder.config.device))
+            assert model is not None
+            return model.to(pick_device(folder.config.device))
         return _train_in(folder, stage, "train", resolve_train_config(folder), folder.training_path, folder.model_path)
 
 
